@@ -1,0 +1,1 @@
+"""The track: its description, the rail element, supports, assembly, the infinite track."""

@@ -1,0 +1,1 @@
+"""The vehicle: wheels, contact spring and the layout of the axle boxes."""
