@@ -1,0 +1,250 @@
+"""The rail by convolution with element impulse responses, the thesis' own online method.
+
+    w(x_j, t_n) = N(x_j) sum_k h(e_k, e_j, t_n - t_k) N(x_k)^T f_k  +  F(x_j) f_n       (4.4)
+
+h is the answer of the discrete full model to a unit nodal force that lasts one time step, so the
+sum repeats Newmark's result for any support and local system; what remains is the end of the
+memory.  Between the force's element and the wheel's only the difference in bays matters: the
+responses of one bay serve the whole track, at any speed profile.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from railtrack_ros.dynamics.contact import contact_step, standing_wheels, wheel_constants
+from railtrack_ros.dynamics.forward import ForwardResult, StepFailure, check_run, check_setup
+from railtrack_ros.dynamics.interpolation import cubic, locate, shape_table
+from railtrack_ros.dynamics.newmark import nodal_impulse_responses
+from railtrack_ros.errors import InputError
+from railtrack_ros.track.bay import Bay
+from railtrack_ros.vehicle.description import Vehicle
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+MEMORY = 0.1
+"""Length of the impulse responses [s] unless given: beyond it 0.1 % of the deflection is left."""
+
+
+class History(NamedTuple):
+    """What the convolution remembers of every wheel.
+
+    drive (wheels, k, 2 memory): f N_i, newest first from index `head`, each entry stored twice so
+    that a whole memory is always contiguous.  A segment is a stretch of time in one element:
+    bay, element and first step (wheels, segments), a ring of which `newest` (wheels,) is the last.
+    """
+
+    drive: Array
+    bay: Indices
+    element: Indices
+    first_step: Indices
+    newest: Indices
+
+
+@njit(cache=True, nogil=True, inline='always')
+def remember(history, wheel, bay, element, step):
+    """Open a new segment where the wheel has come to another element."""
+    last = history.newest[wheel]
+    if history.bay[wheel, last] != bay or history.element[wheel, last] != element:
+        last = (last + 1) % history.bay.shape[1]
+        history.newest[wheel] = last
+        history.bay[wheel, last] = bay
+        history.element[wheel, last] = element
+        history.first_step[wheel, last] = step
+
+
+@njit(cache=True, nogil=True, inline='always')
+def response_row(h, force_dof, force_bay, dof, bay):
+    """h over the memory between two degrees of freedom; reciprocity gives what lies behind."""
+    own = h.shape[0]
+    if force_dof >= own:
+        force_dof, force_bay = force_dof - own, force_bay + 1
+    if dof >= own:
+        dof, bay = dof - own, bay + 1
+    if bay >= force_bay:
+        return h[force_dof, dof, bay - force_bay]
+    return h[dof, force_dof, force_bay - bay]
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def convolve(table, h, history, wheel, dofs, bay, weights, step, head):
+    """Deflection at a place by the past drive (ages 1 .. memory - 1) of one wheel, upward drive."""
+    memory = h.shape[3]
+    segments = history.bay.shape[1]
+    segment = history.newest[wheel]
+    newest_age = 1
+    total = 0.0
+    while newest_age < memory:
+        oldest_age = min(memory - 1, step - history.first_step[wheel, segment])
+        element = history.element[wheel, segment]
+        for i in range(weights.size):
+            drive = history.drive[wheel, i]
+            for j in range(weights.size):
+                row = response_row(h, table.dofs[element, i], history.bay[wheel, segment],
+                                   dofs[j], bay)
+                part = 0.0
+                for age in range(newest_age, oldest_age + 1):
+                    part += row[age] * drive[head + age]
+                total += part * weights[j]
+        newest_age = max(newest_age, oldest_age + 1)
+        segment = (segment - 1) % segments
+    return total
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def march(table, h, history, first_step, offsets, constants, position, irregularity, wheels,
+          force_out, deflection_out, wheel_out, acceleration_out):
+    """Convolve, step the contact, remember; returns (steps done, Newton iterations).
+
+    h (dofs, dofs, reach + 1, memory): force's degree of freedom, response's, bays ahead, age.
+    """
+    steps, n = irregularity.shape
+    memory, width = h.shape[3], table.dofs.shape[1]
+    free, force = np.empty(n), np.empty(n)
+    weights, element, bays = np.empty((n, width)), np.empty(n, np.int64), np.empty(n, np.int64)
+    compliance, work = np.empty((n, n)), np.zeros((n, n + 3))
+    iterations = 0
+    for k in range(steps):
+        step = first_step + k
+        head = memory - 1 - step % memory
+        for w in range(n):
+            bay, interval, s = locate(table, position[k] + offsets[w])
+            bays[w], element[w] = bay, table.element[interval]
+            for j in range(width):
+                weights[w, j] = cubic(table.coefficients[interval, j], s)
+            compliance[w, w] = cubic(table.flexibility[interval], s)
+            remember(history, w, bay, element[w], step)
+        for w in range(n):
+            here = table.dofs[element[w]]
+            free[w] = 0.0
+            for v in range(n):
+                free[w] += convolve(table, h, history, v, here, bays[w], weights[w], step, head)
+                now = compliance[w, w] if v == w else 0.0
+                for i in range(width):
+                    for j in range(width):
+                        now += weights[v, i] * weights[w, j] * response_row(
+                            h, table.dofs[element[v], i], bays[v], here[j], bays[w])[0]
+                compliance[w, v] = now
+        count = contact_step(free, compliance, irregularity[k], wheels, constants, force, work)
+        if count < 0:
+            return k, iterations
+        iterations += count
+        for w in range(n):
+            deflection = free[w]
+            for v in range(n):
+                deflection -= compliance[w, v] * force[v]
+            for i in range(width):
+                history.drive[w, i, head] = -force[w] * weights[w, i]
+                history.drive[w, i, head + memory] = -force[w] * weights[w, i]
+            force_out[k, w] = force[w]
+            deflection_out[k, w] = deflection
+            wheel_out[k, w] = wheels[0, w]
+            acceleration_out[k, w] = wheels[2, w]
+    return steps, iterations
+
+
+class IrfForward:
+    """Wheels of one rail over a given irregularity: contact forces by convolution.
+
+    Same use and results as `newmark.FullModel`.  Parameters: bay; vehicle (wheel and contact are
+    used); offsets of the wheels from the reference point [m]; time_step [s]; start_position [m],
+    where the wheels have stood at the first sample; memory [s].  Raises InputError.
+    """
+
+    def __init__(self, bay: Bay, vehicle: Vehicle, offsets: Sequence[float], time_step: float,
+                 start_position: float, memory: float = MEMORY) -> None:
+        self.offsets = check_setup(offsets, time_step)
+        if not memory >= 10.0 * time_step:
+            raise InputError(f'memory: {memory:g} s is too short, at least ten time steps '
+                             f'({10.0 * time_step:g} s) are needed')
+        self.bay = bay
+        self.time_step = float(time_step)
+        self.start_position = float(start_position)
+        self.memory = math.ceil(memory / time_step)
+        self.constants = wheel_constants(vehicle, time_step)
+        self.iterations = self.steps = 0
+        self._table = shape_table(bay)
+        self._responses = np.zeros((bay.dofs, bay.dofs, 0, self.memory))
+        n, k = self.offsets.size, self._table.dofs.shape[1]
+        shape = (n, self.memory + 2)
+        self._history = History(
+            drive=np.zeros((n, k, 2 * self.memory)),
+            bay=np.zeros(shape, np.int64), element=np.zeros(shape, np.int64),
+            first_step=np.zeros(shape, np.int64), newest=np.zeros(n, np.int64))
+        self._wheels: Array | None = None
+        self._recent = np.zeros(0)
+
+    def run(self, position: ArrayLike, irregularity: ArrayLike) -> ForwardResult:
+        """Step to each position (n,) [m] with irregularity (n, wheels) [m] under the wheels.
+
+        Successive calls continue.  Raises InputError, or StepFailure with the result so far.
+        """
+        last = float(self._recent[-1]) if self._recent.size else None
+        position, irregularity = check_run(
+            position, irregularity, self.offsets.size, last, self.start_position,
+            0.25 * self.bay.spacing)
+        result = ForwardResult.empty(position.size, self.offsets.size)
+        if position.size == 0:
+            return result
+        self._reach_over(np.concatenate([self._recent, position]))
+        begin = 0
+        if self._wheels is None:
+            deflection = self._stand(position[0])
+            self._wheels = standing_wheels(self.constants, deflection, irregularity[0])
+            result.contact_force[0] = self.constants.static_load
+            result.rail_deflection[0] = deflection
+            result.wheel_displacement[0] = self._wheels[0]
+            begin = 1
+        done, iterations = march(
+            self._table, self._responses, self._history, self.memory + self.steps, self.offsets,
+            self.constants, position[begin:], irregularity[begin:], self._wheels,
+            *result.part(begin, position.size).arrays())
+        self.steps += done
+        self.iterations += iterations
+        if begin + done < position.size:
+            raise StepFailure(
+                f'IRF solver: the contact forces did not converge in time step '
+                f'{self.steps + 1} at position {position[begin + done]:.6g} m',
+                result.part(0, begin + done))
+        self._recent = np.concatenate([self._recent, position])[-self.memory:]
+        return result
+
+    def _reach_over(self, position: Array) -> None:
+        """Have the impulse responses as far along the track as one memory of this run covers."""
+        blocks = max(1, position.size // self.memory)
+        edges = np.linspace(0, position.size, blocks + 1).astype(int)
+        # Two neighbouring blocks span every window of one memory.
+        spans = [np.ptp(position[edges[i]:edges[min(i + 2, blocks)]]) for i in range(blocks)]
+        reach = math.ceil((max(spans) + np.ptp(self.offsets)) / self.bay.spacing) + 2
+        if reach >= self._responses.shape[2]:
+            both = nodal_impulse_responses(self.bay, self.time_step, self.memory, reach)
+            self._responses = np.ascontiguousarray(both[:, :, reach:])
+
+    def _stand(self, position: float) -> Array:
+        """Fill the memory with wheels standing at `position`; returns their deflection (n,)."""
+        load = -self.constants.static_load
+        number, inside = self.bay.locate(position + self.offsets)
+        interval, s = self.bay.table.locate(inside)
+        weights = np.einsum('wkc,wc->wk', self._table.coefficients[interval],
+                            s[:, None] ** np.arange(4))
+        element = self._table.element[interval]
+        history = self._history
+        history.drive[:] = load * weights[:, :, None]
+        history.bay[:, 0], history.element[:, 0] = number, element
+        deflection = load * self.bay.flexibility(inside)
+        for w in range(self.offsets.size):
+            here = self._table.dofs[element[w]]
+            for v in range(self.offsets.size):
+                there = self._table.dofs[element[v]]
+                for i, source in enumerate(there):
+                    for j, dof in enumerate(here):
+                        row = response_row(self._responses, source, number[v], dof, number[w])
+                        deflection[w] += load * weights[v, i] * weights[w, j] * row.sum()
+        return deflection

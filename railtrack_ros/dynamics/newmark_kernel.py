@@ -1,0 +1,274 @@
+"""Compiled time step of the full model on a window of equal-patterned bays.
+
+Every state array is stored as [degree of freedom in the bay][bay], bays contiguous and padded to
+whole vector registers, so that each operation runs over all bays at once.  A bay's matrices act on
+its own degrees of freedom followed by the next bay's left node: rows nb and nb + 1 of an array are
+that node's values, fetched from the neighbouring lane before a product and added back after it.
+
+The outermost nodes of the window are clamped; the right one lies in the first lane of padding,
+which is zero throughout.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from numba import njit
+from numpy.typing import NDArray
+import numpy as np
+
+from railtrack_ros.dynamics.contact import contact_step
+from railtrack_ros.dynamics.interpolation import cubic, locate
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+FINISHED, CONTACT_FAILED, DIVERGED = range(3)
+
+
+class Entries(NamedTuple):
+    """Non-zero entries of the bay matrices, two of a row at a time.
+
+    value (n, 2, lanes) at row (n,) and column (n, 2); an odd row ends with a zero.
+    """
+
+    row: Indices
+    column: Indices
+    value: Array
+
+
+class Operator(NamedTuple):
+    """The window's matrices, ready for time steps.
+
+    damping, stiffness: minus C and minus K.  forward, pivot, backward: partial L D L^T of
+    A = M + gamma dt C + beta dt^2 K of every bay, interior degrees of freedom first: minus L by
+    rows in the order of elimination, 1 / D (nb + 2, lanes) of the interior rows 2 .. nb - 1, and
+    minus L^T in the reverse order.  below, diagonal, above (bays + 1, 2, 2): block elimination of
+    the left nodes that remain.
+    """
+
+    bays: int
+    damping: Entries
+    stiffness: Entries
+    forward: Entries
+    pivot: Array
+    backward: Entries
+    below: Array
+    diagonal: Array
+    above: Array
+
+
+class Columns(NamedTuple):
+    """Columns of A^-1 for the nodal forces that a wheel can exert.
+
+    home (wheels,): the first of the two lanes in which a wheel can stand.  first (wheels,): lane
+    of the columns' first entry.  value (wheels, 2 nb + 2, nb, reach): column of each degree of
+    freedom of the two lanes and of the left node after them, cut off where it has died away.
+    """
+
+    home: Indices
+    first: Indices
+    value: Array
+
+
+@njit(cache=True, fastmath={'contract'}, nogil=True)
+def multiply_add(entries, x, y):
+    """y += matrix x over all lanes, rows in the order of the entries; x may be y."""
+    lanes = x.shape[1]
+    for n in range(entries.row.size):
+        i = entries.row[n]
+        j, k = entries.column[n]
+        for b in range(lanes):
+            y[i, b] += entries.value[n, 0, b] * x[j, b] + entries.value[n, 1, b] * x[k, b]
+
+
+@njit(cache=True, fastmath={'contract'}, nogil=True)
+def fetch_next(x, nb):
+    """Copy the left nodes of the following bays into rows nb, nb + 1."""
+    lanes = x.shape[1]
+    for i in range(2):
+        for b in range(lanes - 1):
+            x[nb + i, b] = x[i, b + 1]
+
+
+@njit(cache=True, fastmath={'contract'}, nogil=True)
+def solve(op, r):
+    """Replace r (nb + 2, lanes) by A^-1 r; rows nb, nb + 1 act on the next bay's left node."""
+    nb = r.shape[0] - 2
+    lanes = r.shape[1]
+    # Interior degrees of freedom of all bays at once.
+    multiply_add(op.forward, r, r)
+    for i in range(2):
+        for b in range(lanes - 1):
+            r[i, b + 1] += r[nb + i, b]
+    # Left nodes, block by block; the outermost are clamped.
+    r[0, 0] = r[1, 0] = 0.0
+    x0 = x1 = 0.0
+    for b in range(1, op.bays):
+        m = op.below[b]
+        x0, x1 = (r[0, b] - m[0, 0] * x0 - m[0, 1] * x1, r[1, b] - m[1, 0] * x0 - m[1, 1] * x1)
+        r[0, b], r[1, b] = x0, x1
+    r[0, op.bays] = r[1, op.bays] = 0.0
+    x0 = x1 = 0.0
+    for b in range(op.bays - 1, 0, -1):
+        d, m = op.diagonal[b], op.above[b]
+        z0 = d[0, 0] * r[0, b] + d[0, 1] * r[1, b]
+        z1 = d[1, 0] * r[0, b] + d[1, 1] * r[1, b]
+        x0, x1 = z0 - m[0, 0] * x0 - m[0, 1] * x1, z1 - m[1, 0] * x0 - m[1, 1] * x1
+        r[0, b], r[1, b] = x0, x1
+    # Back to the interior.
+    fetch_next(r, nb)
+    for i in range(2, nb):
+        for b in range(lanes):
+            r[i, b] *= op.pivot[i, b]
+    multiply_add(op.backward, r, r)
+
+
+@njit(cache=True, fastmath={'contract'}, nogil=True)
+def free_step(op, u, v, a, dt, beta, gamma):
+    """Predict u, v and find the accelerations a = A^-1 (-C v - K u) without external forces."""
+    nb = u.shape[0] - 2
+    lanes = u.shape[1]
+    for i in range(nb):
+        for b in range(lanes):
+            u[i, b] += dt * v[i, b] + (0.5 - beta) * dt * dt * a[i, b]
+            v[i, b] += (1.0 - gamma) * dt * a[i, b]
+    fetch_next(u, nb)
+    fetch_next(v, nb)
+    a[:] = 0.0
+    multiply_add(op.damping, v, a)
+    multiply_add(op.stiffness, u, a)
+    solve(op, a)
+
+
+@njit(cache=True, fastmath={'contract'}, nogil=True)
+def correct(u, v, a, dt, beta, gamma):
+    """Add the new accelerations to the predicted u, v."""
+    for i in range(u.shape[0] - 2):
+        for b in range(u.shape[1]):
+            u[i, b] += beta * dt * dt * a[i, b]
+            v[i, b] += gamma * dt * a[i, b]
+
+
+@njit(cache=True, nogil=True)
+def shift(x, bays, by):
+    """Move the window by `by` bays along the track: what leaves is lost, zeros enter."""
+    lanes = x.shape[1]
+    for i in range(x.shape[0]):
+        for k in range(lanes):
+            to = k if by > 0 else lanes - 1 - k
+            x[i, to] = x[i, to + by] if 0 <= to + by < bays else 0.0
+    x[0, 0] = x[1, 0] = x[0, bays] = x[1, bays] = 0.0
+
+
+@njit(cache=True, fastmath={'contract'}, nogil=True)
+def run(op, columns, table, constants, home_bay, offsets, position, irregularity,
+        u, v, a, wheels, force, deflection, displacement, acceleration, iterations):
+    """Time steps to position[n] of the reference point with irregularity[n, w] at the wheels.
+
+    The window's lane 0 is bay home_bay[0] - home_bay[1] of the track, home_bay[0] being the bay of
+    the reference point and kept up to date.  u, v, a (nb + 2, lanes) and wheels (5, wheels) are
+    the state; force, deflection, displacement, acceleration (n, wheels) and iterations (n,) are
+    filled.  Returns the steps done and FINISHED, CONTACT_FAILED or DIVERGED.
+    """
+    dt, beta, gamma = constants.time_step, constants.beta, constants.gamma
+    nb = u.shape[0] - 2
+    count = offsets.size
+    reach = columns.value.shape[3]
+    width = table.dofs.shape[1]
+    shape = np.zeros((count, width))
+    dofs = np.zeros((count, width), np.int64)
+    lane = np.zeros(count, np.int64)
+    flexibility = np.zeros(count)
+    column = np.zeros((count, nb * reach))
+    free = np.zeros(count)
+    compliance = np.zeros((count, count))
+    work = np.zeros((count, count + 3))
+    now = np.zeros(count)
+    flat = columns.value.reshape((count, 2 * nb + 2, nb * reach))
+
+    for n in range(position.size):
+        bay = math.floor((position[n] - table.start) / table.spacing)
+        if bay != home_bay[0]:
+            by = bay - home_bay[0]
+            shift(u, op.bays, by)
+            shift(v, op.bays, by)
+            shift(a, op.bays, by)
+            home_bay[0] = bay
+        free_step(op, u, v, a, dt, beta, gamma)
+
+        # Where the wheels press, the free deflection there, and what a force there would do.
+        for w in range(count):
+            number, interval, s = locate(table, position[n] + offsets[w])
+            lane[w] = number - home_bay[0] + home_bay[1]
+            flexibility[w] = cubic(table.flexibility[interval], s)
+            element = table.element[interval]
+            free[w] = 0.0
+            first = (lane[w] - columns.home[w]) * nb
+            for k in range(width):
+                d = table.dofs[element, k]
+                dofs[w, k] = d
+                shape[w, k] = cubic(table.coefficients[interval, k], s)
+                i, b = (d, lane[w]) if d < nb else (d - nb, lane[w] + 1)
+                free[w] += shape[w, k] * (u[i, b] + beta * dt * dt * a[i, b])
+                if k == 0:
+                    for m in range(nb * reach):
+                        column[w, m] = shape[w, k] * flat[w, first + d, m]
+                else:
+                    for m in range(nb * reach):
+                        column[w, m] += shape[w, k] * flat[w, first + d, m]
+        for j in range(count):
+            for i in range(count):
+                compliance[i, j] = flexibility[i] if i == j else 0.0
+                for k in range(width):
+                    d = dofs[i, k]
+                    r, b = (d, lane[i]) if d < nb else (d - nb, lane[i] + 1)
+                    b -= columns.first[j]
+                    if 0 <= b < reach:
+                        compliance[i, j] += (beta * dt * dt * shape[i, k]
+                                             * column[j, r * reach + b])
+        used = contact_step(free, compliance, irregularity[n], wheels, constants, now, work)
+        if used < 0:
+            return n, CONTACT_FAILED
+        iterations[n] = used
+
+        for w in range(count):
+            if now[w] != 0.0:
+                for i in range(nb):
+                    for m in range(reach):
+                        a[i, columns.first[w] + m] -= now[w] * column[w, i * reach + m]
+        correct(u, v, a, dt, beta, gamma)
+        for i in range(count):
+            w_rail = free[i]
+            for j in range(count):
+                w_rail -= compliance[i, j] * now[j]
+            if not math.isfinite(w_rail):
+                return n, DIVERGED
+            force[n, i] = now[i]
+            deflection[n, i] = w_rail
+            displacement[n, i] = wheels[0, i]
+            acceleration[n, i] = wheels[2, i]
+    return position.size, FINISHED
+
+
+@njit(cache=True, fastmath={'contract'}, nogil=True)
+def impulse_response(op, dof, lane, first, rows, dt, beta, gamma, out):
+    """Answer of the window to a unit nodal force at (dof, lane) that lasts one time step.
+
+    out (rows, bays, steps) receives the displacements of degrees of freedom rows (n,) in lanes
+    first, first + 1, ... after each step, that of the force itself included.
+    """
+    u = np.zeros_like(op.pivot)
+    v = np.zeros_like(op.pivot)
+    a = np.zeros_like(op.pivot)
+    for step in range(out.shape[2]):
+        if step == 0:
+            a[dof, lane] = 1.0
+            solve(op, a)
+        else:
+            free_step(op, u, v, a, dt, beta, gamma)
+        correct(u, v, a, dt, beta, gamma)
+        for k in range(rows.size):
+            for b in range(out.shape[1]):
+                out[k, b, step] = u[rows[k], first + b]
