@@ -74,26 +74,31 @@ def response_row(h, force_dof, force_bay, dof, bay):
 
 
 @njit(cache=True, nogil=True, fastmath=True)
+def dot(a, b):
+    """sum_n a[n] b[n]."""
+    total = 0.0
+    for n in range(a.size):
+        total += a[n] * b[n]
+    return total
+
+
+@njit(cache=True, nogil=True, fastmath=True)
 def convolve(table, h, history, wheel, dofs, bay, weights, step, head):
     """Deflection at a place by the past drive (ages 1 .. memory - 1) of one wheel, upward drive."""
     memory = h.shape[3]
     segments = history.bay.shape[1]
     segment = history.newest[wheel]
-    newest_age = 1
+    begin = 1
     total = 0.0
-    while newest_age < memory:
-        oldest_age = min(memory - 1, step - history.first_step[wheel, segment])
-        element = history.element[wheel, segment]
+    while begin < memory:
+        end = min(memory, step - history.first_step[wheel, segment] + 1)
+        source = table.dofs[history.element[wheel, segment]]
         for i in range(weights.size):
-            drive = history.drive[wheel, i]
+            drive = history.drive[wheel, i, head + begin:head + end]
             for j in range(weights.size):
-                row = response_row(h, table.dofs[element, i], history.bay[wheel, segment],
-                                   dofs[j], bay)
-                part = 0.0
-                for age in range(newest_age, oldest_age + 1):
-                    part += row[age] * drive[head + age]
-                total += part * weights[j]
-        newest_age = max(newest_age, oldest_age + 1)
+                row = response_row(h, source[i], history.bay[wheel, segment], dofs[j], bay)
+                total += weights[j] * dot(row[begin:end], drive)
+        begin = max(begin, end)
         segment = (segment - 1) % segments
     return total
 
@@ -171,7 +176,7 @@ class IrfForward:
         self.constants = wheel_constants(vehicle, time_step)
         self.iterations = self.steps = 0
         self._table = shape_table(bay)
-        self._responses = np.zeros((bay.dofs, bay.dofs, 0, self.memory))
+        self._responses: Array = np.zeros((bay.dofs, bay.dofs, 0, self.memory))
         n, k = self.offsets.size, self._table.dofs.shape[1]
         shape = (n, self.memory + 2)
         self._history = History(
@@ -179,7 +184,7 @@ class IrfForward:
             bay=np.zeros(shape, np.int64), element=np.zeros(shape, np.int64),
             first_step=np.zeros(shape, np.int64), newest=np.zeros(n, np.int64))
         self._wheels: Array | None = None
-        self._recent = np.zeros(0)
+        self._recent: Array = np.zeros(0)
 
     def run(self, position: ArrayLike, irregularity: ArrayLike) -> ForwardResult:
         """Step to each position (n,) [m] with irregularity (n, wheels) [m] under the wheels.

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from railtrack_ros.dynamics.contact import contact_step, standing_wheels, wheel_constants
 from railtrack_ros.dynamics.forward import ForwardResult, StepFailure, check_run, check_setup
 from railtrack_ros.dynamics.interpolation import ShapeTable, cubic, locate
-from railtrack_ros.dynamics.modes import TrackModes, make_track_modes, ring_length
+from railtrack_ros.dynamics.modes import ComplexArray, TrackModes, make_track_modes, ring_length
 from railtrack_ros.errors import InputError
 from railtrack_ros.track.bay import Bay
 from railtrack_ros.vehicle.description import Vehicle
@@ -80,9 +80,12 @@ class ModalState(NamedTuple):
     weights: Array
 
 
-def recursion(poles: NDArray[np.complex128], time_step: float, hold: str) -> Recursion:
+def recursion(poles: ComplexArray, time_step: float, hold: str) -> Recursion:
     """Coefficients for poles (p,) [1/s] and a time step [s]."""
-    z = poles * time_step
+    z: ComplexArray = poles * time_step
+    e: ComplexArray
+    p0: ComplexArray
+    p1: ComplexArray
     if hold == 'trapezoidal':
         e = (1.0 + 0.5 * z) / (1.0 - 0.5 * z)
         p0 = p1 = 0.5 * time_step / (1.0 - 0.5 * z)
@@ -90,27 +93,32 @@ def recursion(poles: NDArray[np.complex128], time_step: float, hold: str) -> Rec
         e = np.exp(z)
         phi1 = np.expm1(z) / z
         # (phi1 - 1) / z loses digits for slow poles at short steps: series there.
-        phi2 = np.where(np.abs(z) < 1e-2, 0.5 + z / 6 + z**2 / 24 + z**3 / 120 + z**4 / 720,
-                        (phi1 - 1.0) / z)
+        phi2: ComplexArray = np.where(
+            np.abs(z) < 1e-2, 0.5 + z / 6 + z**2 / 24 + z**3 / 120 + z**4 / 720,
+            (phi1 - 1.0) / z)
         p0, p1 = time_step * (phi1 - phi2), time_step * phi2
     else:
         raise InputError(f'hold {hold!r}: expected one of ' + ', '.join(HOLDS))
-    return Recursion(*(np.ascontiguousarray(part) for x in (e, p0, p1) for part in (x.real, x.imag)))
+    return Recursion(*_parts(e), *_parts(p0), *_parts(p1))
 
 
 def modal_table(modes: TrackModes) -> ModalTable:
     """Arrays of the modes as the compiled loops take them."""
     phase = np.exp(1j * np.outer(np.arange(modes.bays), modes.wave_number))
-    return ModalTable(*(np.ascontiguousarray(part)
-                        for x in (modes.response, modes.excitation, phase)
-                        for part in (x.real, x.imag)), remainder=modes.remainder)
+    return ModalTable(*_parts(modes.response), *_parts(modes.excitation), *_parts(phase),
+                      modes.remainder)
+
+
+def _parts(x: ComplexArray) -> tuple[Array, Array]:
+    return np.ascontiguousarray(x.real), np.ascontiguousarray(x.imag)
 
 
 def modal_state(modes: TrackModes, wheels: int) -> ModalState:
     """The rail at rest and unloaded."""
     p, k = modes.poles.size, modes.table.dofs.shape[1]
-    return ModalState(*(np.zeros(p) for _ in range(4)),
-                      *(np.zeros((wheels, k, p)) for _ in range(4)),
+    zero, shapes = (np.zeros((4, *shape)) for shape in ((p,), (wheels, k, p)))
+    return ModalState(zero[0], zero[1], zero[2], zero[3],
+                      shapes[0], shapes[1], shapes[2], shapes[3],
                       place=np.full((wheels, 2), np.iinfo(np.int64).min),
                       weights=np.zeros((wheels, k)))
 
@@ -333,7 +341,8 @@ class RecursiveResponse:
 
     def state(self) -> dict[str, Array]:
         """A copy of what the run has to remember: modal states and last drive, (p,) each."""
-        return {name: getattr(self._state, name).copy() for name in ('s_re', 's_im', 'u_re', 'u_im')}
+        return {name: getattr(self._state, name).copy()
+                for name in ('s_re', 's_im', 'u_re', 'u_im')}
 
     def restore(self, state: dict[str, Array]) -> None:
         """Continue from a state saved by `state()`, of the same modes and time step."""

@@ -170,7 +170,7 @@ def make_bay(track: Track, mesh: Mesh | None = None) -> Bay:
 
     # One description serves every element of the same kind and length.
     made: dict[tuple[bool, float], _ElementKind] = {}
-    matrices = {name: np.zeros((total, total)) for name in
+    matrices: dict[str, Array] = {name: np.zeros((total, total)) for name in
                 ('stiffness', 'rail_stiffness', 'support_damping', 'rail_damping', 'mass')}
     elements = []
     for i in range(count):

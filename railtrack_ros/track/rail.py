@@ -145,8 +145,8 @@ def clamped_modes(
     bubbles = [Legendre.basis(j + 2, domain) - Legendre.basis(j, domain) for j in range(terms)]
     points, weights = np.polynomial.legendre.leggauss(terms + 8)
     x, weight = 0.5 * length * (points + 1.0), 0.5 * length * weights
-    value = np.stack([b(x) for b in bubbles], axis=1)
-    slope = np.stack([b.deriv()(x) for b in bubbles], axis=1)
+    value: Array = np.stack([b(x) for b in bubbles], axis=1)
+    slope: Array = np.stack([b.deriv()(x) for b in bubbles], axis=1)
 
     def integral(left: Array, right: Array) -> Array:
         return left.T @ (weight[:, None] * right)
