@@ -101,7 +101,7 @@ def test_locate_puts_the_sleeper_centres_at_multiples_of_the_spacing():
     np.testing.assert_allclose(inside[:3], -bay.start, atol=1e-9)
 
 
-@pytest.mark.parametrize('mesh, word', [
+@pytest.mark.parametrize(('mesh', 'word'), [
     (Mesh(2, 2), 'elements per bay'), (Mesh(8, local_system='modal'), 'local system'),
 ])
 def test_impossible_mesh_is_refused(mesh, word):

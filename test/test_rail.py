@@ -58,7 +58,7 @@ def test_clamped_flexibility_at_the_middle_has_the_closed_form_and_known_values(
     assert at_other == pytest.approx(1.9683e-10, rel=1e-4)
 
 
-@pytest.mark.parametrize('rail, length, hertz', [
+@pytest.mark.parametrize(('rail', 'length', 'hertz'), [
     (RAIL, 0.15, [6704.38, 13261.42, 18136.19, 20166.32, 26973.13, 33670.95]),
     (OTHER, 0.15, [6151.11, 12194.47, 18030.13, 18508.79]),
     (dataclasses.replace(OTHER, youngs_modulus=210e9), 0.15,
@@ -79,7 +79,8 @@ def test_clamped_modes_are_orthonormal_in_mass_and_held_at_the_ends():
             + RAIL.rotary_inertia * theta.T @ (weight[:, None] * theta))
     np.testing.assert_allclose(gram, np.eye(6), atol=1e-9)
     w, theta = modes.shapes([0.0, 0.15])
-    assert np.abs(w).max() < 1e-9 and np.abs(theta).max() < 1e-7
+    assert np.abs(w).max() < 1e-9
+    assert np.abs(theta).max() < 1e-7
 
 
 def test_modal_sum_tends_to_the_static_flexibility():

@@ -11,13 +11,13 @@ RAIL = load_track('blanco_table_3_1').rail
 PADS = [(0.16, 350e6), (0.5, 350e6), (0.08, 80e6), (0.16, 3000e6)]
 
 
-@pytest.mark.parametrize('length, pad', PADS)
+@pytest.mark.parametrize(('length', 'pad'), PADS)
 def test_rigid_body_motion_of_rail_and_sleeper_strains_nothing(length, pad):
     k = teef.teef_matrices(RAIL, length, pad / length).stiffness
     assert np.abs(k @ [1.0, 0.0, 1.0, 0.0, 1.0]).max() < 1e-12 * np.abs(k).max()
 
 
-@pytest.mark.parametrize('length, pad', PADS)
+@pytest.mark.parametrize(('length', 'pad'), PADS)
 def test_sleeper_row_is_the_pad_force(length, pad):
     kd = pad / length
     k = teef.teef_matrices(RAIL, length, kd).stiffness

@@ -146,6 +146,7 @@ class _Element:
 
 def make_bay(track: Track, mesh: Mesh | None = None) -> Bay:
     """Mesh and matrices of one bay.  Raises InputError where the mesh does not fit the support."""
+    track.require_periodic('a mesh of one bay for the whole track')
     mesh = mesh or Mesh()
     support = track.support
     nodes, pad = _node_positions(support, mesh)
@@ -194,6 +195,25 @@ def make_bay(track: Track, mesh: Mesh | None = None) -> Bay:
         modal_dofs=np.array(modal_dofs, dtype=np.int64).reshape(-1),
         table=_interpolation(elements), **matrices,
     )
+
+
+def make_bays(track: Track, mesh: Mesh | None, first: int, count: int) -> list[Bay]:
+    """Bays first .. first + count - 1 of a track that need not be periodic; equal ones are shared.
+
+    Raises InputError where neighbouring bays do not meet at a node.
+    """
+    made: dict[tuple[Rail, Support], Bay] = {}
+    bays = []
+    for number in range(first, first + count):
+        own = track.bay(number)
+        key = (own.rail, own.support)
+        if key not in made:
+            made[key] = make_bay(own, mesh)
+        bays.append(made[key])
+        if abs(made[key].start - bays[0].start) > 1e-9:
+            raise InputError(f'track {track.name}: the meshes of bays {first} and {number} do not '
+                             'meet at a node; take an even number of elements between the pads')
+    return bays
 
 
 def _node_positions(support: Support, mesh: Mesh) -> tuple[Array, range]:

@@ -1,16 +1,19 @@
-"""What a track is made of: one rail on periodic discrete supports.
+"""What a track is made of: one rail on discrete supports.
 
 All values are SI units and belong to one rail; the two rails of a track are not coupled.
-Sleeper centres lie at x = k * spacing for every integer k.
+Sleeper centres lie at x = k * spacing for every integer k.  Usually all bays are alike; stretches
+and single sleepers may differ (a soft spot, a hanging sleeper, another rail).
 """
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 
 from railtrack_ros import parameters, paths
-from railtrack_ros.parameters import NOT_NEGATIVE, POSITIVE, Range
+from railtrack_ros.errors import InputError
+from railtrack_ros.parameters import ANY, NOT_NEGATIVE, POSITIVE, Range, Section
 
 SUPPORT_KINDS = ('concentrated', 'concentrated_rotational', 'multipoint', 'distributed')
 
@@ -77,13 +80,49 @@ class Support:
 
 
 @dataclass(frozen=True)
+class Stretch:
+    """What differs in the bays whose sleeper centres lie in begin <= x < end [m]."""
+
+    begin: float
+    end: float
+    rail: Rail
+    support: Support
+
+
+@dataclass(frozen=True)
 class Track:
-    """A periodic track: the same rail and the same support in every bay."""
+    """A rail on sleepers: the same everywhere but for stretches and single sleepers.
+
+    sleepers holds (index, support) of the sleepers that differ from their surroundings.
+    """
 
     name: str
     rail: Rail
     support: Support
     description: str = ''
+    stretches: tuple[Stretch, ...] = ()
+    sleepers: tuple[tuple[int, Support], ...] = ()
+
+    @property
+    def periodic(self) -> bool:
+        """Whether all bays are alike."""
+        return not (self.stretches or self.sleepers)
+
+    def bay(self, number: int) -> Track:
+        """The periodic track whose every bay is like bay `number` of this one."""
+        rail, support = self.rail, self.support
+        for stretch in self.stretches:
+            if stretch.begin <= number * self.support.spacing < stretch.end:
+                rail, support = stretch.rail, stretch.support
+        support = dict(self.sleepers).get(number, support)
+        return Track(self.name, rail, support, self.description)
+
+    def require_periodic(self, purpose: str) -> None:
+        """Raise InputError where `purpose` needs all bays alike and they are not."""
+        if not self.periodic:
+            key = 'stretches' if self.stretches else 'sleepers'
+            raise InputError(f'track {self.name}: {key}: {purpose} needs a periodic track; '
+                             'take a track file without stretches and sleepers')
 
 
 RAIL_RANGES = {
@@ -116,7 +155,7 @@ def load_track(name_or_path: str | Path) -> Track:
     """
     path = parameters.find_described('track', name_or_path, _folder())
     file = parameters.read_yaml(path)
-    file.expect(('rail', 'support'), ('description',), not_yet=('stretches', 'sleepers'))
+    file.expect(('rail', 'support'), ('description', 'stretches', 'sleepers'))
 
     rail = file.section('rail')
     rail.expect(RAIL_RANGES)
@@ -124,18 +163,89 @@ def load_track(name_or_path: str | Path) -> Track:
     support = file.section('support')
     support.expect(('kind', *SUPPORT_RANGES), not_yet=('pad_nonlinearity',))
     values = support.numbers(SUPPORT_RANGES)
-    if values['pad_length'] >= values['spacing']:
-        raise support.error(
-            'pad_length',
-            f'expected less than the sleeper spacing of {values["spacing"]:g} m, '
-            f'got {values["pad_length"]:g}',
-        )
-    return Track(
+    _check_pad_length(support, values['pad_length'], values['spacing'])
+    track = Track(
         name=path.stem,
         rail=Rail(**rail.numbers(RAIL_RANGES)),
         support=Support(kind=support.choice('kind', SUPPORT_KINDS), **values),
         description=file.text('description', default=''),
     )
+    if 'stretches' in file:
+        track = dataclasses.replace(track, stretches=_stretches(file, track))
+    if 'sleepers' in file:
+        track = dataclasses.replace(track, sleepers=_sleepers(file, track))
+    return track
+
+
+# What may change along the track; a hanging sleeper has no ballast, a broken fastening no pad.
+CHANGED_SUPPORT_RANGES = {
+    key: NOT_NEGATIVE if key.endswith(('_stiffness', '_damping')) else allowed
+    for key, allowed in SUPPORT_RANGES.items() if key != 'spacing'
+}
+
+
+def _stretches(file: Section, track: Track) -> tuple[Stretch, ...]:
+    """Read `stretches`: where they begin and end, and the rail and support values that differ."""
+    found: list[Stretch] = []
+    for item in file.sections('stretches'):
+        item.expect(('from', 'to'), ('rail', 'support'))
+        begin, end = item.number('from', ANY), item.number('to', ANY)
+        if not end > begin:
+            raise item.error('to', f'expected more than from, {begin:g} m, got {end:g}')
+        rail, support = track.rail, track.support
+        if 'rail' in item:
+            section = item.section('rail')
+            section.expect((), RAIL_RANGES)
+            rail = dataclasses.replace(rail, **{
+                key: section.number(key, RAIL_RANGES[key]) for key in section.values})
+        if 'support' in item:
+            support = _changed_support(item.section('support'), support)
+        if rail == track.rail and support == track.support:
+            raise item.error(None, 'changes nothing; give a rail or a support value that differs')
+        for other in found:
+            if begin < other.end and other.begin < end:
+                raise item.error('from', f'overlaps the stretch from {other.begin:g} to '
+                                         f'{other.end:g} m')
+        found.append(Stretch(begin, end, rail, support))
+    return tuple(found)
+
+
+def _sleepers(file: Section, track: Track) -> tuple[tuple[int, Support], ...]:
+    """Read `sleepers`: the index of each and the support values that differ."""
+    found: dict[int, Support] = {}
+    for item in file.sections('sleepers'):
+        item.expect(('index',), ('kind', *CHANGED_SUPPORT_RANGES))
+        index = item.number('index', ANY)
+        if index != round(index):
+            raise item.error('index', f'expected a whole number, got {index:g}')
+        if int(index) in found:
+            raise item.error('index', f'sleeper {index:g} is given twice')
+        surroundings = track.bay(int(index)).support
+        found[int(index)] = _changed_support(item, surroundings, ('index',))
+    return tuple(sorted(found.items()))
+
+
+def _changed_support(section: Section, support: Support, beside: tuple[str, ...] = ()) -> Support:
+    """Return `support` with the values of a section; `beside` are its other keys."""
+    if 'spacing' in section:
+        raise section.error('spacing', 'the sleeper spacing is the same along the whole track')
+    section.expect(beside, ('kind', *CHANGED_SUPPORT_RANGES))
+    kind = section.choice('kind', SUPPORT_KINDS) if 'kind' in section else support.kind
+    changed = dataclasses.replace(support, kind=kind, **{
+        key: section.number(key, allowed)
+        for key, allowed in CHANGED_SUPPORT_RANGES.items() if key in section})
+    _check_pad_length(section, changed.pad_length, changed.spacing)
+    if changed.pad_stiffness == 0.0 and changed.ballast_stiffness == 0.0:
+        raise section.error('pad_stiffness', 'a sleeper needs a pad or ballast to hold it')
+    return changed
+
+
+def _check_pad_length(section: Section, pad_length: float, spacing: float) -> None:
+    if pad_length >= spacing:
+        raise section.error(
+            'pad_length',
+            f'expected less than the sleeper spacing of {spacing:g} m, got {pad_length:g}',
+        )
 
 
 def shipped_tracks() -> list[str]:
