@@ -361,7 +361,7 @@ class RecursiveForward:
 
     def __init__(self, bay: Bay | TrackModes, vehicle: Vehicle, offsets: Sequence[float],
                  time_step: float, start_position: float, hold: str = 'trapezoidal',
-                 maximum_frequency: float = 8000.0) -> None:
+                 maximum_frequency: float = 16000.0) -> None:
         self.offsets = check_setup(offsets, time_step)
         if isinstance(bay, Bay):
             bays = ring_length(bay, self.offsets)
