@@ -1,0 +1,1 @@
+"""Recordings in and out, and the one codec between messages and arrays."""

@@ -1,0 +1,248 @@
+"""Any recording, opened for reading: rosbag2 folders, bare MCAP or SQLite files, also damaged."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Protocol
+
+import yaml
+
+from railtrack_ros.bags.mcap_file import FACTS, MAGIC, McapFile, RawMessage, Topic
+from railtrack_ros.bags.message_types import OFFLINE
+from railtrack_ros.bags.sqlite_bag import SQLITE_MAGIC, RosbagsStorage
+from railtrack_ros.errors import InputError
+
+ROS1_MAGIC = b'#ROSBAG'
+
+
+class Storage(Protocol):
+    """One file of a recording, or a folder that is read as one."""
+
+    start_time: int
+    end_time: int
+    notes: list[str]
+    metadata: dict[str, dict[str, str]]
+
+    @property
+    def topics(self) -> Sequence[Topic]:
+        """Return the topics; one may occur more than once."""
+
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
+        """Yield the messages of some topics, or of all, in the order of their log time."""
+
+    def close(self) -> None:
+        """Close what is open."""
+
+
+class Bag:
+    """A recording open for reading; use it in a `with` statement, or close it.
+
+    Attributes
+    ----------
+    path
+        The recording.
+    topics
+        Topics by name, with type, encoding and number of messages.
+    start_time, end_time
+        Log times [ns] of the first and the last message.
+    facts
+        What the recording says of the run beside its messages, such as `start_position`.
+    """
+
+    def __init__(self, path: Path, storages: list[Storage], notes: list[str]) -> None:
+        self.path = path
+        self._storages = storages
+        self._notes = notes
+        self.topics: dict[str, Topic] = {}
+        for topic in itertools.chain.from_iterable(storage.topics for storage in storages):
+            known = self.topics.get(topic.name, replace(topic, count=0))
+            self.topics[topic.name] = replace(known, count=known.count + topic.count)
+        filled = [storage for storage in storages if any(x.count for x in storage.topics)]
+        if not filled:
+            self.close()
+            raise InputError('; '.join([f'{path}: holds no messages', *self.notes]))
+        self.start_time = min(storage.start_time for storage in filled)
+        self.end_time = max(storage.end_time for storage in filled)
+        self.facts: dict[str, str] = {}
+        for storage in storages:
+            self.facts.update(storage.metadata.get(FACTS, {}))
+
+    @property
+    def notes(self) -> list[str]:
+        """Return what could not be read so far, one line each; reading may add to it."""
+        return [*self._notes, *itertools.chain.from_iterable(x.notes for x in self._storages)]
+
+    @property
+    def message_count(self) -> int:
+        """Return the number of messages of all topics."""
+        return sum(topic.count for topic in self.topics.values())
+
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
+        """Yield the messages of some topics (None: of all) in the order of their log time.
+
+        Only a few chunks of the file are in memory at a time.
+        """
+        for storage in self._storages:
+            yield from storage.messages(topics)
+
+    def decode(self, message: RawMessage) -> Any:
+        """Return a message as an object with the attributes of its type.
+
+        Raises
+        ------
+        InputError
+            The bytes are not a message of that type, or the type is not a common one.
+        """
+        if self.topics[message.topic].encoding != 'cdr':
+            encoding = self.topics[message.topic].encoding
+            raise InputError(f'{message.topic}: is encoded as {encoding!r}, expected cdr')
+        if not OFFLINE.knows(message.type):
+            raise InputError(f'{message.topic}: unknown message type {message.type!r}')
+        try:
+            return OFFLINE.deserialize(message.data, message.type)
+        except InputError as error:
+            raise InputError(f'{message.topic}: {error}') from error
+
+    def topic(self, wanted: str | None, usual: str, types: Collection[str], content: str) -> str:
+        """Return the topic to read: the wanted one, the usual one, or the only one of its type.
+
+        Parameters
+        ----------
+        wanted
+            Name that was asked for, or None.
+        usual
+            Name to prefer if nothing was asked for.
+        types
+            Message types that can hold the content.
+        content
+            What is looked for, for messages.
+
+        Raises
+        ------
+        InputError
+            There is no such topic or more than one; the message lists what there is.
+        """
+        candidates = [topic.name for topic in self.topics.values() if topic.type in types]
+        listed = ', '.join(f'{x.name} ({x.type})' for x in self.topics.values()) or 'none'
+        for name in (wanted, usual):
+            if name is None:
+                continue
+            name = name if name.startswith('/') else f'/{name}'
+            if name in candidates:
+                return name
+            if name in self.topics:
+                raise InputError(
+                    f'{self.path}: {name} is a {self.topics[name].type}, '
+                    f'expected {" or ".join(types)} for the {content}'
+                )
+            if wanted is not None:
+                raise InputError(f'{self.path}: no topic {name}; there are: {listed}')
+        measured = [name for name in candidates if not _is_result(name)]
+        if len(measured) == 1:
+            return measured[0]
+        if measured:
+            raise InputError(
+                f'{self.path}: the {content} may be any of {", ".join(measured)}; say which'
+            )
+        raise InputError(
+            f'{self.path}: no topic with the {content} ({" or ".join(types)}); there are: {listed}'
+        )
+
+    def close(self) -> None:
+        """Close the files."""
+        for storage in self._storages:
+            storage.close()
+
+    def __enter__(self) -> Bag:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def _is_result(topic: str) -> bool:
+    """Return whether a waveform topic holds truth or results rather than a measurement."""
+    results = ('contact_force', 'rail_deflection', 'irregularity')
+    return topic.startswith('/truth/') or topic.rsplit('/', 1)[-1] in results
+
+
+def open_bag(path: str | Path) -> Bag:
+    """Open a recording.
+
+    Parameters
+    ----------
+    path
+        A rosbag2 folder (MCAP or SQLite, split or compressed, also without `metadata.yaml`), or a
+        single `.mcap` or `.db3` file. What kind of file it is shows in its first bytes.
+
+    Raises
+    ------
+    InputError
+        There is nothing there, it is no recording, it holds no messages, or nothing of it can
+        be read.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise InputError(f'{path}: no such file or folder')
+    notes: list[str] = []
+    storages = _open_folder(path, notes) if path.is_dir() else [_open_file(path)]
+    return Bag(path, storages, notes)
+
+
+def _open_file(path: Path) -> Storage:
+    """Open one file of a recording by what its first bytes say it is."""
+    try:
+        with path.open('rb') as file:
+            head = file.read(16)
+    except OSError as error:
+        raise InputError(f'{path}: cannot be read ({error.strerror})') from error
+    if head.startswith(MAGIC):
+        return McapFile(path)
+    if head == SQLITE_MAGIC:
+        return RosbagsStorage(path)
+    if not head:
+        raise InputError(f'{path}: is empty')
+    if head.startswith(ROS1_MAGIC):
+        raise InputError(f'{path}: is a ROS 1 bag; convert it with rosbags-convert first')
+    raise InputError(f'{path}: is not a recording (expected MCAP or a rosbag2 folder)')
+
+
+def _open_folder(path: Path, notes: list[str]) -> list[Storage]:
+    """Open all files of a rosbag2 folder in the order of the recording."""
+    listing = path / 'metadata.yaml'
+    if not listing.exists():
+        files = sorted([*path.glob('*.mcap'), *path.glob('*.db3')], key=_natural)
+        if not files:
+            raise InputError(f'{path}: is not a recording (no metadata.yaml, .mcap or .db3 in it)')
+        notes.append(f'{path}: no metadata.yaml, the recording was not closed')
+        return [_open_file(file) for file in files]
+    try:
+        information = yaml.safe_load(listing.read_bytes())['rosbag2_bagfile_information']
+        names = [Path(name).name for name in information['relative_file_paths']]
+        compressed = information.get('compression_mode') or information.get('compression_format')
+        storage = information['storage_identifier']
+    except (OSError, yaml.YAMLError, KeyError, TypeError, AttributeError, ValueError) as error:
+        reason = ' '.join(str(error).split())
+        raise InputError(f'{listing}: is not the metadata of a recording ({reason})') from error
+    missing = [name for name in names if not (path / name).is_file()]
+    if missing or not names:
+        raise InputError(f'{path}: {", ".join(missing) or "no file"} of metadata.yaml is missing')
+    if storage == 'mcap' and not compressed:
+        return [_open_file(path / name) for name in names]
+    return [RosbagsStorage(path)]
+
+
+def _natural(path: Path) -> list[int | str]:
+    """Sort key which puts run_10 behind run_9."""
+    parts = re.split(r'(\d+)', path.name)
+    return [int(part) if part.isdigit() else part for part in parts]

@@ -1,0 +1,294 @@
+"""Columns of numbers out of the files that loggers and analysis programs write.
+
+CSV (comma, semicolon, tab or blanks; decimal point or comma; with or without header), NPZ of
+NumPy, and MAT up to version 7 of MATLAB. Only the columns that are asked for are kept.
+"""
+
+from __future__ import annotations
+
+import array
+import csv
+import itertools
+import math
+import re
+from collections.abc import Callable, Collection, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from railtrack_ros.errors import InputError
+from railtrack_ros.parameters import suggest
+
+Array = NDArray[np.float64]
+Progress = Callable[[float], None]
+
+TEXT = ('.csv', '.txt', '.tsv', '.asc', '.dat')
+MISSING = ('', 'nan', 'na', 'n/a', 'null', '-')
+LINES_PER_PROGRESS = 20_000
+
+
+def read_columns(
+    path: str | Path, wanted: Collection[str], progress: Progress = lambda part: None
+) -> dict[str, Array]:
+    """Return columns of a file.
+
+    Parameters
+    ----------
+    path
+        A `.csv` (`.txt`, `.tsv`, `.asc`, `.dat`), `.npz` or `.mat` file.
+    wanted
+        Names of the columns: of the header, or '1', '2', ... where a text file has none; the
+        name of an array, with [0], [1], ... for the columns of an array of several.
+    progress
+        Called with the part of the file that is read, 0 to 1.
+
+    Returns
+    -------
+    dict
+        (n,) float64 each, all of the same length; NaN for a field without a value.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or a column is not there, not of numbers, or of another length.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f'{path}: no such file')
+    suffix = path.suffix.lower()
+    try:
+        if suffix in TEXT:
+            columns = _read_text(path, wanted, progress)
+        elif suffix == '.npz':
+            columns = _choose(path, _npz_arrays(path), wanted)
+        elif suffix == '.mat':
+            columns = _choose(path, _mat_arrays(path), wanted)
+        else:
+            known = ', '.join([*TEXT, '.npz', '.mat'])
+            raise InputError(f'{path}: unknown kind of file {suffix!r}; expected {known}')
+    except OSError as error:
+        raise InputError(f'{path}: cannot be read ({error.strerror or error})') from error
+    lengths = {name: column.size for name, column in columns.items()}
+    if len(set(lengths.values())) > 1:
+        said = ', '.join(f'{name} has {size}' for name, size in lengths.items())
+        raise InputError(f'{path}: columns of different length: {said}')
+    if not all(lengths.values()):
+        raise InputError(f'{path}: holds no rows')
+    return columns
+
+
+def _no_column(path: Path, name: str, names: Iterable[str]) -> InputError:
+    """Return the error for a column that is not there, with what is."""
+    names = list(names)
+    listed = ', '.join(names[:40]) + (', ...' if len(names) > 40 else '')
+    hint = suggest(name, names) if names else ''
+    close = f'; {hint}' if hint.startswith('did you mean') else ''
+    return InputError(f'{path}: no column {name!r}{close}; there are: {listed or "none"}')
+
+
+# Arrays
+
+
+def _choose(path: Path, arrays: dict[str, Any], wanted: Collection[str]) -> dict[str, Array]:
+    """Return columns of named arrays of one or two dimensions."""
+    names: dict[str, tuple[str, int | None]] = {}
+    for name, values in arrays.items():
+        if values.dtype.kind not in 'fiub' or values.ndim > 2 or values.size == 0:
+            continue
+        if values.ndim == 2 and min(values.shape) > 1:
+            names.update({f'{name}[{k}]': (name, k) for k in range(values.shape[1])})
+        elif values.ndim:
+            names[name] = (name, None)
+    columns: dict[str, Array] = {}
+    for name in wanted:
+        if name not in names:
+            raise _no_column(path, name, names)
+        key, index = names[name]
+        values = arrays[key] if index is None else arrays[key][:, index]
+        columns[name] = np.array(values, np.float64).ravel()
+    return columns
+
+
+def _npz_arrays(path: Path) -> dict[str, np.ndarray]:
+    """Return the arrays of an NPZ file."""
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            if not hasattr(archive, 'files'):
+                raise ValueError('a single array without a name')
+            return {name: archive[name] for name in archive.files}
+    except OSError:
+        raise
+    except Exception as error:  # zipfile, zlib and the array headers each have their own
+        raise InputError(f'{path}: is not an NPZ file of plain arrays ({error})') from error
+
+
+def _mat_arrays(path: Path) -> dict[str, np.ndarray]:
+    """Return the variables of a MAT file."""
+    import scipy.io
+
+    try:
+        content = scipy.io.loadmat(path)
+    except NotImplementedError as error:
+        raise InputError(
+            f"{path}: is a MAT file of version 7.3, which is not read; save it with '-v7'"
+        ) from error
+    except OSError:
+        raise
+    except Exception as error:  # damaged files end in errors of many kinds
+        raise InputError(f'{path}: is not a MAT file ({error})') from error
+    return {name: values for name, values in content.items() if isinstance(values, np.ndarray)}
+
+
+# Text
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How a text file is laid out.
+
+    Attributes
+    ----------
+    encoding
+        Of the characters.
+    delimiter
+        Between fields; None for blanks.
+    comma
+        Whether numbers have a decimal comma.
+    names
+        Of the columns.
+    first
+        Number of lines before the first row of data.
+    """
+
+    encoding: str
+    delimiter: str | None
+    comma: bool
+    names: list[str]
+    first: int
+
+    def fields(self, line: str) -> list[str]:
+        """Return the fields of a line."""
+        return _split(line, self.delimiter)
+
+    def value(self, text: str) -> float:
+        """Return the number in a field, NaN where it is empty; ValueError for anything else."""
+        if text.strip().lower() in MISSING:
+            return math.nan
+        return float(text.replace(',', '.') if self.comma else text)
+
+
+def _read_text(path: Path, wanted: Collection[str], progress: Progress) -> dict[str, Array]:
+    """Return columns of a text file."""
+    layout = _layout(path)
+    for name in wanted:
+        if name not in layout.names:
+            raise _no_column(path, name, layout.names)
+        if layout.names.count(name) > 1:
+            raise InputError(f'{path}: {layout.names.count(name)} columns are called {name!r}')
+    indices = [layout.names.index(name) for name in wanted]
+    try:
+        table = np.loadtxt(
+            _lines(path, layout, progress),
+            delimiter=layout.delimiter,
+            usecols=indices,
+            ndmin=2,
+            comments='#',
+            quotechar='"',
+        )
+    except ValueError:
+        # Some field is not a plain number: find out which, or that it is an empty one.
+        table = _read_carefully(path, layout, indices, progress)
+    return {name: np.ascontiguousarray(table[:, k]) for k, name in enumerate(wanted)}
+
+
+def _read_carefully(path: Path, layout: Layout, indices: list[int], progress: Progress) -> Array:
+    """Return columns (n, columns) of a text file that has empty fields, or say what is wrong."""
+    values = array.array('d')
+    for number, line in enumerate(_lines(path, layout, progress), layout.first + 1):
+        if not line.strip() or line.startswith('#'):
+            continue
+        fields = layout.fields(line)
+        for index in indices:
+            if index >= len(fields):
+                raise InputError(
+                    f'{path}: line {number}: {len(fields)} fields, expected {len(layout.names)}'
+                )
+            try:
+                values.append(layout.value(fields[index]))
+            except ValueError:
+                raise InputError(
+                    f'{path}: line {number}: column {layout.names[index]!r} holds '
+                    f'{fields[index][:40]!r}, expected a number'
+                ) from None
+    return np.frombuffer(values, np.float64).reshape(-1, len(indices)).copy()
+
+
+def _lines(path: Path, layout: Layout, progress: Progress) -> Iterator[str]:
+    """Yield the lines of data, with a decimal point in every number."""
+    total, done = max(1, path.stat().st_size), 0
+    with path.open(encoding=layout.encoding, errors='replace') as file:
+        for number, line in enumerate(itertools.islice(file, layout.first, None)):
+            done += len(line)
+            if number % LINES_PER_PROGRESS == 0:
+                progress(min(1.0, done / total))
+            yield line.replace(',', '.') if layout.comma else line
+    progress(1.0)
+
+
+def _layout(path: Path) -> Layout:
+    """Find out how a text file is laid out from its first lines."""
+    encoding = _encoding(path)
+    with path.open(encoding=encoding, errors='replace') as file:
+        head = [line.rstrip('\n') for line in itertools.islice(file, 200)]
+    filled = [k for k, line in enumerate(head) if line.strip() and not line.startswith('#')]
+    if not filled:
+        raise InputError(f'{path}: holds no rows')
+    top = head[filled[0]]
+    delimiter = next((mark for mark in ('\t', ';', ',') if mark in top), None)
+    names = [name.strip() for name in _split(top, delimiter)]
+    has_header = not all(_is_number(name) for name in names)
+    first = filled[0] + 1 if has_header else filled[0]
+    if not has_header:
+        names = [str(k + 1) for k in range(len(names))]
+    data = [head[k] for k in filled if k >= first]
+    if not data:
+        raise InputError(f'{path}: holds no rows')
+    comma = delimiter != ',' and any(re.search(r'\d,\d', line) for line in data)
+    return Layout(encoding, delimiter, comma, names, first)
+
+
+def _encoding(path: Path) -> str:
+    """Return the encoding of a text file: UTF-8 with or without mark, else Windows' Western."""
+    with path.open('rb') as file:
+        sample = file.read(1 << 20)
+    if b'\0' in sample:
+        raise InputError(f'{path}: is not a text file')
+    try:
+        sample[: sample.rfind(b'\n') + 1 or None].decode('utf-8-sig')
+    except UnicodeDecodeError:
+        return 'latin-1'
+    return 'utf-8-sig'
+
+
+def _split(line: str, delimiter: str | None) -> list[str]:
+    """Return the fields of a line."""
+    if delimiter is None:
+        return line.split()
+    try:
+        return next(csv.reader([line.rstrip('\n')], delimiter=delimiter), [])
+    except csv.Error:  # a line of absurd length: not a table, as whoever reads it will find
+        return []
+
+
+def _is_number(text: str) -> bool:
+    """Return whether a field of the first line belongs to data rather than to a header."""
+    if text.strip().lower() in MISSING:
+        return True
+    try:
+        float(text.replace(',', '.'))
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,437 @@
+import json
+
+import numpy as np
+import pytest
+import scipy.integrate
+import scipy.io
+
+from railtrack_ros.bags.codec import SECOND, START_NS
+from railtrack_ros.bags.importers import ImportSettings, import_measurement, parse_channels
+from railtrack_ros.bags.reader import (
+    AccelerationBlock,
+    SpeedSample,
+    open_bag,
+    read_run,
+    read_waveform,
+)
+from railtrack_ros.bags.survey import survey
+from railtrack_ros.bags.writer import ACCELERATION_TOPIC
+from railtrack_ros.cli.main import main
+from railtrack_ros.errors import InputError
+
+N, RATE = 4000, 2000.0
+TIME = np.arange(N) / RATE
+RNG = np.random.default_rng(2)
+LEFT, RIGHT = RNG.normal(size=(2, N)).astype(np.float32).astype(np.float64)
+SPEED = 15.0 + TIME
+
+
+def settings(channels='left,right', **options):
+    options = options or {'sample_rate': RATE, 'speed': 15.0}
+    return ImportSettings(parse_channels(channels), **options)
+
+
+def imported(tmp_path, path, how):
+    """Import a file; return the summary and the acceleration of the recording."""
+    summary = import_measurement(path, tmp_path / 'out.mcap', how)
+    with open_bag(tmp_path / 'out.mcap') as bag:
+        return summary, read_waveform(bag, ACCELERATION_TOPIC)
+
+
+def csv(path, columns, *, header=True, delimiter=',', comma=False, encoding='utf-8'):
+    lines = [delimiter.join(columns)] if header else []
+    for row in zip(*columns.values(), strict=True):
+        fields = [x if isinstance(x, str) else repr(float(x)) for x in row]
+        lines.append(delimiter.join(x.replace('.', ',') if comma else x for x in fields))
+    path.write_text('\n'.join(lines) + '\n', encoding=encoding)
+    return path
+
+
+def npz(path, **arrays):
+    np.savez(path, **arrays)
+    return path
+
+
+# Files
+
+
+COLUMNS = {'time': TIME, 'left': LEFT, 'right': RIGHT, 'v': SPEED}
+BY_TIME = {'time_column': 'time', 'speed_column': 'v'}
+
+
+def as_mat(path):
+    scipy.io.savemat(path, COLUMNS)
+    return path
+
+
+def as_array(path):
+    return npz(path, time=TIME, both=np.stack([LEFT, RIGHT], axis=1), v=SPEED)
+
+
+FORMS = {
+    'comma': lambda p: csv(p / 'x.csv', COLUMNS),
+    'tab': lambda p: csv(p / 'x.tsv', COLUMNS, delimiter='\t'),
+    'blanks': lambda p: csv(p / 'x.txt', COLUMNS, delimiter='  '),
+    'semicolon': lambda p: csv(p / 'x.csv', COLUMNS, delimiter=';'),
+    'decimal comma': lambda p: csv(p / 'x.csv', COLUMNS, delimiter=';', comma=True),
+    'byte order mark': lambda p: csv(p / 'x.csv', COLUMNS, encoding='utf-8-sig'),
+    'npz': lambda p: npz(p / 'x.npz', **COLUMNS),
+    'npz of rows': lambda p: npz(p / 'x.npz', **{k: v[None, :] for k, v in COLUMNS.items()}),
+    'mat': lambda p: as_mat(p / 'x.mat'),
+}
+
+
+@pytest.mark.parametrize('form', FORMS)
+def test_every_form_of_file_gives_the_same_recording(tmp_path, form):
+    summary, found = imported(tmp_path, FORMS[form](tmp_path), settings(**BY_TIME))
+    np.testing.assert_array_equal(found.channels['left'], LEFT)
+    np.testing.assert_array_equal(found.channels['right'], RIGHT)
+    np.testing.assert_allclose(found.time(START_NS), TIME, atol=2e-9)
+    assert summary.sample_rate == pytest.approx(RATE)
+    assert summary.distance == pytest.approx(scipy.integrate.trapezoid(SPEED, TIME))
+    assert summary.notes == []
+    assert not summary.resampled
+
+
+def test_columns_of_an_array_have_an_index(tmp_path):
+    how = settings('both[1]=right,both[0]=left', **BY_TIME)
+    _, found = imported(tmp_path, as_array(tmp_path / 'x.npz'), how)
+    np.testing.assert_array_equal(found.channels['left'], LEFT)
+    np.testing.assert_array_equal(found.channels['right'], RIGHT)
+
+
+def test_columns_without_header_have_a_number(tmp_path):
+    path = csv(tmp_path / 'x.csv', COLUMNS, header=False)
+    _, found = imported(tmp_path, path, settings('2=left', time_column='1', speed_column='4'))
+    np.testing.assert_array_equal(found.channels['left'], LEFT)
+
+
+def test_comments_quotes_and_western_encoding_are_understood(tmp_path):
+    path = csv(tmp_path / 'x.csv', {'"a (m/s²), left"': LEFT, 'µ': RIGHT}, encoding='latin-1')
+    path.write_bytes(b'# logger 7\n\n' + path.read_bytes())
+    _, found = imported(tmp_path, path, settings('µ=right'))
+    np.testing.assert_array_equal(found.channels['right'], RIGHT)
+
+
+def test_same_file_gives_the_same_bytes(tmp_path):
+    path = npz(tmp_path / 'x.npz', **COLUMNS)
+    for name in ('1.mcap', '2.mcap'):
+        import_measurement(path, tmp_path / name, settings(**BY_TIME))
+    assert (tmp_path / '1.mcap').read_bytes() == (tmp_path / '2.mcap').read_bytes()
+
+
+# Units and time base
+
+
+def test_units_are_converted(tmp_path):
+    path = npz(tmp_path / 'x.npz', g=LEFT, km=2.0 + 0.020 * TIME / 1.0, v=np.full(N, 72.0))
+    how = settings(
+        'g=left',
+        acceleration_unit='g',
+        position_column='km',
+        position_unit='km',
+        speed_column='v',
+        speed_unit='km/h',
+    )
+    summary, found = imported(tmp_path, path, how)
+    np.testing.assert_allclose(found.channels['left'], 9.80665 * LEFT, rtol=1e-6)
+    assert summary.start_position == pytest.approx(2000.0)
+    assert summary.sample_rate == pytest.approx(RATE, rel=1e-6)
+    with read_run(tmp_path / 'out.mcap') as run:
+        assert run.start_position == summary.start_position
+        assert {event.speed for event in run if isinstance(event, SpeedSample)} == {20.0}
+
+
+def test_blocks_are_about_10_ms_and_speed_is_known_before_the_first(tmp_path):
+    import_measurement(npz(tmp_path / 'x.npz', **COLUMNS), tmp_path / 'o', settings(**BY_TIME))
+    with read_run(tmp_path / 'o') as run:
+        events = list(run)
+    times = [event.message.log_time for event in events]
+    assert times == sorted(times)
+    first = next(k for k, event in enumerate(events) if isinstance(event, AccelerationBlock))
+    assert events[first].block.samples == 16
+    assert [event.stamp_ns for event in events[:first]] == [
+        START_NS - 100_000_000,
+        START_NS - 50_000_000,
+        START_NS,
+    ]
+    for event in events[first:]:
+        if isinstance(event, SpeedSample):
+            assert event.speed == pytest.approx(15.0 + (event.stamp_ns - START_NS) / SECOND)
+
+
+def test_samples_of_equal_distance_become_samples_of_equal_time(tmp_path):
+    """A 90 Hz vibration under a vehicle that brakes from 30 to 20 m/s, sampled every 8 mm."""
+    position = 500.0 + 0.008 * np.arange(10_000)
+    speed = np.sqrt(30.0**2 - 2 * 3.125 * (position - 500.0))
+    time = (30.0 - speed) / 3.125
+    path = npz(tmp_path / 'x.npz', x=position, v=speed, a=np.sin(2 * np.pi * 90.0 * time))
+    how = settings('a', position_column='x', speed_column='v')
+    summary, found = imported(tmp_path, path, how)
+    assert summary.resampled
+    assert summary.sample_rate == pytest.approx(30.0 / 0.008, rel=1e-3)
+    # The uniform grid ends up to a sample before the last sample.
+    assert 0.0 <= position[-1] - position[0] - summary.distance < 0.008
+    t = found.time(START_NS)
+    assert t[-1] == pytest.approx(time[-1], abs=1e-3)
+    np.testing.assert_allclose(np.diff(t), 1.0 / summary.sample_rate, rtol=1e-4)
+    np.testing.assert_allclose(found.channels['a'], np.sin(2 * np.pi * 90.0 * t), atol=2e-4)
+    checked = survey(tmp_path / 'out.mcap')
+    assert checked.distance == pytest.approx(summary.distance, rel=1e-4)
+    assert checked.acceleration.gap_count == 0
+
+
+def test_resampling_makes_nothing_up_where_samples_are_missing(tmp_path):
+    position = 0.01 * np.arange(N)
+    speed = np.linspace(20.0, 25.0, N)
+    a = np.cos(position)
+    a[1000:1100] = np.nan
+    path = npz(tmp_path / 'x.npz', x=position, v=speed, a=a)
+    summary, found = imported(tmp_path, path, settings('a', position_column='x', speed_column='v'))
+    at = np.interp(found.time(START_NS), np.cumsum(np.r_[0, 0.02 / (speed[1:] + speed[:-1])]),
+                   np.arange(N))  # fmt: skip
+    missing = np.isnan(found.channels['a'])
+    np.testing.assert_array_equal(missing, (at > 999 + 1e-6) & (at < 1100 - 1e-6))
+    assert summary.missing == {'a': missing.sum()}
+    np.testing.assert_allclose(
+        found.channels['a'][~missing], np.cos(0.01 * at[~missing]), atol=1e-5
+    )
+
+
+# Gaps and missing values
+
+
+def test_gap_begins_a_new_block_at_its_own_time(tmp_path):
+    time = np.concatenate([TIME, 5.0 + TIME])
+    path = npz(tmp_path / 'x.npz', t=time, a=np.tile(LEFT, 2), v=np.full(2 * N, 10.0))
+    summary, found = imported(tmp_path, path, settings('a', time_column='t', speed_column='v'))
+    np.testing.assert_allclose(found.time(START_NS), time, atol=1e-8)
+    np.testing.assert_array_equal(found.channels['a'], np.tile(LEFT, 2))
+    assert summary.gaps == 1
+    assert '1 gaps, 3 s in all, the first at 2 s' in summary.notes[0]
+    assert summary.distance == pytest.approx(10.0 * (time[-1] - time[0]))
+    checked = survey(tmp_path / 'out.mcap').acceleration
+    assert checked.gap_count == 1
+    assert checked.gaps[0] == pytest.approx((TIME[-1], 5.0 - TIME[-1] - 1 / RATE))
+    with read_run(tmp_path / 'out.mcap') as run:
+        stamps = [x.stamp_ns - START_NS for x in run if isinstance(x, SpeedSample)]
+    assert {4_900_000_000, 4_950_000_000, 5_000_000_000} <= set(stamps)
+
+
+def test_gap_in_position_keeps_the_place_on_the_track(tmp_path):
+    position = np.delete(100.0 + 0.01 * np.arange(N), np.s_[1000:1500])
+    path = npz(tmp_path / 'x.npz', x=position, a=np.delete(LEFT, np.s_[1000:1500]))
+    summary, found = imported(tmp_path, path, settings('a', position_column='x', speed=20.0))
+    assert summary.gaps == 1
+    assert not summary.resampled
+    place = summary.start_position + 20.0 * found.time(START_NS)
+    np.testing.assert_allclose(place, position, atol=1e-6)
+
+
+def test_single_samples_between_gaps_are_dropped_and_counted(tmp_path):
+    time = np.concatenate([TIME, [7.0, 8.0], 9.0 + TIME])
+    a = np.concatenate([LEFT, [0.0, 0.0], LEFT])
+    path = npz(tmp_path / 'x.npz', t=time, a=a)
+    summary, found = imported(tmp_path, path, settings('a', time_column='t', speed=10.0))
+    assert found.time_ns.size == 2 * N
+    assert any('2 samples dropped' in note for note in summary.notes)
+
+
+def test_empty_fields_stay_missing_samples(tmp_path):
+    left = [f'{x!r}' for x in LEFT.tolist()]
+    left[10:13] = ['', 'NaN', ' ']
+    right = [f'{x!r}' for x in RIGHT.tolist()]
+    right[20] = 'inf'
+    path = csv(tmp_path / 'x.csv', {'left': left, 'right': right})
+    summary, found = imported(tmp_path, path, settings())
+    assert np.flatnonzero(np.isnan(found.channels['left'])).tolist() == [10, 11, 12]
+    assert np.flatnonzero(np.isnan(found.channels['right'])).tolist() == [20]
+    assert summary.missing == {'left': 3, 'right': 1}
+    assert 'channel left: 3 samples have no value' in summary.notes[0]
+    np.testing.assert_array_equal(found.channels['left'][13:], LEFT[13:])
+
+
+# Refusals
+
+
+def refuse(tmp_path, said, how, **columns):
+    path = npz(tmp_path / 'x.npz', **{'a': LEFT, 't': TIME, 'x': 10 * TIME, 'v': SPEED, **columns})
+    with pytest.raises(InputError, match=said) as caught:
+        import_measurement(path, tmp_path / 'out.mcap', how)
+    assert str(path) in str(caught.value)
+    assert not (tmp_path / 'out.mcap').exists()
+
+
+def changed(values, at, to):
+    values = values.copy()
+    values[at] = to
+    return values
+
+
+def test_unusable_columns_are_named_with_the_row(tmp_path):
+    by_time = settings('a', time_column='t', speed=10.0)
+    by_way = settings('a', position_column='x', speed_column='v')
+    said = "no column 'acc'; there are: a, t, x, v"
+    refuse(tmp_path, said, settings('acc', sample_rate=RATE, speed=1.0))
+    refuse(tmp_path, "no column 'vv'; did you mean 'v'", settings('a', sample_rate=1e3,
+           speed_column='vv'))  # fmt: skip
+    refuse(tmp_path, "column 't' does not increase at row 11", by_time,
+           t=changed(TIME, 10, TIME[9]))  # fmt: skip
+    refuse(tmp_path, "column 't' has no value at row 4", by_time, t=changed(TIME, 3, np.nan))
+    refuse(tmp_path, "'x' does not increase at row 2.*must grow with the run", by_way, x=-TIME)
+    refuse(tmp_path, 'speed is zero at row 6', by_way, v=changed(SPEED, 5, 0.0))
+    refuse(tmp_path, "'v': -1 m/s at row 6 is negative", by_way, v=changed(SPEED, 5, -1.0))
+    refuse(tmp_path, "'v': 260 m/s at row 1 is too fast; see --speed-unit", by_way, v=260 + TIME)
+    refuse(tmp_path, "column 'v' holds no numbers", by_way, v=np.full(N, np.nan))
+    refuse(tmp_path, "column 'a' holds no numbers", by_time, a=np.full(N, np.nan))
+    refuse(tmp_path, 'columns of different length: a has 3999, t has 4000', by_time, a=LEFT[1:])
+    refuse(tmp_path, 'sample rate comes out as 2e\\+06 Hz; check the units', by_time, t=TIME / 1e3)
+    refuse(tmp_path, '8 rows, expected a waveform', by_time, t=TIME[:8], a=LEFT[:8])
+    single = np.repeat(np.arange(N // 5), 5) + np.tile([0.0, 0.1, 0.2, 0.3, 0.4], N // 5) / 100
+    refuse(tmp_path, 'no 16 samples without a gap', by_time, t=single)
+    refuse(tmp_path, 'the sample period varies so much', by_time,
+           t=TIME + np.arange(N) ** 2)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ('name', 'content', 'said'),
+    [
+        ('x.csv', 'left,right\n1,2\n1,two\n', "line 3: column 'right' holds 'two', expected a num"),
+        ('x.csv', 'left,right\n1,2\n1\n', 'line 3: 1 fields, expected 2'),
+        ('x.csv', 'left,left,right\n1,2,3\n', "2 columns are called 'left'"),
+        ('x.csv', '', 'holds no rows'),
+        ('x.csv', 'left,right\n', 'holds no rows'),
+        ('x.csv', b'left,right\n\0\0', 'is not a text file'),
+        ('x.csv', 'left,right\n' + '1,2\n' * 9, '9 rows, expected'),
+        ('x.npz', b'PK\3\4 nonsense', 'is not an NPZ file'),
+        ('x.npz', b'', 'is not an NPZ file'),
+        ('x.mat', b'nonsense' * 40, 'is not a MAT file'),
+        ('x.mat', b'', 'is not a MAT file'),
+        ('x.mat', b'MATLAB 7.3 MAT-file'.ljust(124) + b'\0\2IM', "version 7.3.*save it with '-v7'"),
+        ('x.h5', b'', "unknown kind of file '.h5'"),
+        ('x', b'', 'unknown kind of file'),
+    ],
+)
+def test_unreadable_files_are_refused_in_one_line(tmp_path, name, content, said):
+    path = tmp_path / name
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    with pytest.raises(InputError, match=said) as caught:
+        import_measurement(path, tmp_path / 'out.mcap', settings())
+    assert str(path) in str(caught.value)
+
+
+def test_pickled_arrays_are_not_unpickled(tmp_path):
+    path = npz(tmp_path / 'x.npz', left=np.array([{}, {}], dtype=object), right=RIGHT)
+    with pytest.raises(InputError, match='is not an NPZ file of plain arrays'):
+        import_measurement(path, tmp_path / 'out.mcap', settings())
+
+
+@pytest.mark.parametrize(
+    ('text', 'said'),
+    [
+        ('', "'' cannot name a channel"),
+        ('left,', "'' cannot name a channel"),
+        ('a b', "'a b' cannot name a channel.*give COLUMN=NAME"),
+        ('x=t', "'t' cannot name a channel"),
+        ('x=position', "'position' cannot name a channel"),
+        ('x=1st', "'1st' cannot name a channel"),
+        ('a,a', "'a': column or name given twice"),
+        ('a=x,b=x', "'b=x': column or name given twice"),
+    ],
+)
+def test_channels_that_cannot_be_are_refused(text, said):
+    with pytest.raises(InputError, match=said):
+        parse_channels(text)
+
+
+def test_column_names_may_hold_an_equals_sign():
+    assert parse_channels('a=1 = left , right') == {'a=1': 'left', 'right': 'right'}
+
+
+@pytest.mark.parametrize(
+    ('options', 'said'),
+    [
+        ({'speed': 1.0}, 'give one of --sample-rate, --time-column, --position-column'),
+        ({'speed': 1.0, 'sample_rate': 1.0, 'time_column': 't'}, 'give one of --sample-rate'),
+        ({'sample_rate': 1.0}, 'give one of --speed-column, --speed'),
+        ({'sample_rate': 1.0, 'speed': 1.0, 'speed_column': 'v'}, 'give one of --speed-column'),
+        ({'sample_rate': 1.0, 'speed': 1.0, 'speed_unit': 'mph'}, '--speed-unit mph: expected m/s'),
+    ],
+)
+def test_contradicting_options_are_refused(options, said):
+    with pytest.raises(InputError, match=said):
+        settings('a', **options)
+
+
+# The command, and real measurements
+
+
+def test_command_tells_what_it_did(tmp_path, capsys):
+    path, out = npz(tmp_path / 'x.npz', **COLUMNS), tmp_path / 'run'
+    options = ['--channels', 'left', '--time-column', 'time', '--speed-column', 'v', str(out)]
+    assert main(['import', str(path), *options]) == 0
+    said = capsys.readouterr()
+    assert said.err == ''
+    assert '1 channels at 2000 Hz, 2.000 s, 32.0 m, 250 blocks' in said.out
+    assert survey(out).obstacles == []
+
+
+def test_command_ends_with_status_3_where_values_are_missing(tmp_path, capsys):
+    path = npz(tmp_path / 'x.npz', a=changed(LEFT, 5, np.nan))
+    options = ['--channels', 'a', '--sample-rate', '2000', '--speed', '72', '--speed-unit', 'km/h']
+    assert main(['import', str(path), *options, str(tmp_path / 'o.mcap'), '--json']) == 3
+    said = capsys.readouterr()
+    assert said.err == f'railtrack import: {path}: channel a: 1 samples have no value\n'
+    assert json.loads(said.out)['missing_samples'] == {'a': 1}
+    with read_run(tmp_path / 'o.mcap') as run:
+        assert {event.speed for event in run if isinstance(event, SpeedSample)} == {20.0}
+
+
+@pytest.mark.parametrize(
+    ('options', 'said'),
+    [
+        (['--sample-rate', '0'], 'argument --sample-rate: expected a number above 0'),
+        (['--sample-rate', '1', '--position-unit', 'km'], '--position-unit needs a --position-col'),
+        ([], 'give one of --sample-rate, --time-column, --position-column'),
+    ],
+)
+def test_command_refuses_in_one_line(tmp_path, capsys, options, said):
+    path = npz(tmp_path / 'x.npz', a=LEFT)
+    fixed = ['import', str(path), '--channels', 'a', '--speed', '1', str(tmp_path / 'o.mcap')]
+    assert main([*fixed, *options]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count('\n') == 1
+
+
+@pytest.mark.parametrize(
+    ('name', 'rate', 'start'),
+    [('measured_normal_a', 1987.0, 1000.0), ('measured_corrugated_a', 2090.8, 2000.0)],
+)
+def test_measured_run_is_taken_as_it_is(reference_data, tmp_path, name, rate, start):
+    path = reference_data / f'{name}.npz'
+    if not path.exists():
+        pytest.skip(f'no {path.name}')
+    how = settings(
+        'left=axle1_left,right=axle1_right',
+        position_column='position_km',
+        position_unit='km',
+        speed_column='speed_km_h',
+        speed_unit='km/h',
+    )
+    summary, found = imported(tmp_path, path, how)
+    with np.load(path) as measured:
+        left, right = measured['left'], measured['right']
+        position = 1e3 * measured['position_km']
+        speed = measured['speed_km_h'][0] / 3.6
+    assert summary.notes == []
+    assert not summary.resampled
+    assert summary.sample_rate == pytest.approx(rate, abs=0.1)
+    assert summary.start_position == pytest.approx(start)
+    np.testing.assert_array_equal(found.channels['axle1_left'], left)
+    np.testing.assert_array_equal(found.channels['axle1_right'], right)
+    place = summary.start_position + speed * found.time(START_NS)
+    np.testing.assert_allclose(place, position, atol=0.005)  # half a sample of 9 mm
+    checked = survey(tmp_path / 'out.mcap')
+    assert checked.obstacles == []
+    assert checked.distance == pytest.approx(position[-1] - position[0], abs=0.01)
