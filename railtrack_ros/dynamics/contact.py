@@ -22,6 +22,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from railtrack_ros.errors import InputError
 from railtrack_ros.vehicle.description import Vehicle
 
 Array = NDArray[np.float64]
@@ -48,8 +49,20 @@ class WheelConstants(NamedTuple):
 
 def wheel_constants(vehicle: Vehicle, time_step: float, beta: float = 0.25, gamma: float = 0.5,
                     tolerance: float = 1e-10) -> WheelConstants:
-    """Gather the constants of :func:`contact_step`; Newton stops at a change below tolerance."""
+    """Gather the constants of :func:`contact_step`; Newton stops at a change below tolerance.
+
+    Raises
+    ------
+    InputError
+        A time step [s] that cannot follow the wheel on its contact spring.
+    """
     wheel, contact = vehicle.wheel, vehicle.contact
+    longest = longest_time_step(vehicle)
+    if not 0.0 < time_step <= longest:
+        raise InputError(
+            f'time step {time_step:g} s: too long for the contact, at most {longest:.2g} s (an '
+            f'eighth of a period of the wheel on its contact spring)' if time_step > 0.0 else
+            f'time step: expected a positive number of seconds, got {time_step:g}')
     return WheelConstants(
         mass=float(wheel.mass), static_load=float(wheel.static_load),
         stiffness=float(contact.stiffness), exponent=float(contact.exponent),
@@ -57,6 +70,18 @@ def wheel_constants(vehicle: Vehicle, time_step: float, beta: float = 0.25, gamm
         time_step=float(time_step), beta=float(beta), gamma=float(gamma),
         tolerance=float(tolerance),
     )
+
+
+def longest_time_step(vehicle: Vehicle) -> float:
+    """Longest time step [s] that follows the wheel on its contact spring: 1/8 of a period.
+
+    The spring is the contact's tangent at the static load.  On table 3.1 that is 0.5 ms, where
+    the standard deviation of the contact force over a dipped joint is off by 0.5 %.
+    """
+    wheel, contact = vehicle.wheel, vehicle.contact
+    indentation = (wheel.static_load / contact.stiffness) ** (1.0 / contact.exponent)
+    tangent = contact.exponent * wheel.static_load / indentation
+    return 2.0 * math.pi / 8.0 * math.sqrt(wheel.mass / tangent)
 
 
 def static_indentation(constants: WheelConstants) -> float:
@@ -160,8 +185,8 @@ def contact_step(rail_free, compliance, irregularity, wheels, constants, force, 
                 change[i] -= work[i, j] * change[j]
             change[i] /= work[i, i]
             delta[i] += change[i]
-            # Written so that a NaN does not count as converged.
-            if not abs(change[i]) <= tolerance * max(abs(delta[i]), scale):
+            small = abs(change[i]) <= tolerance * max(abs(delta[i]), scale)
+            if not (small and math.isfinite(change[i])):
                 converged = False
 
     for i in range(n):

@@ -21,6 +21,8 @@ from railtrack_ros.errors import InputError
 
 Array = NDArray[np.float64]
 
+SHORTEST_TIME_STEP = 1e-8  # s
+
 
 @dataclass(frozen=True)
 class ForwardResult:
@@ -59,12 +61,20 @@ class StepFailure(InputError):
 
 
 def check_setup(offsets: Sequence[float], time_step: float) -> Array:
-    """Return the wheels' offsets as an array (wheels,), or raise InputError for a set-up that cannot run."""
+    """Return the wheels' offsets [m] as an array (wheels,).
+
+    Raises
+    ------
+    InputError
+        No wheel, an offset that is not finite, or a time step [s] that is not positive or so
+        short that rounding takes over.
+    """
     wheels = np.asarray(offsets, dtype=float)
     if wheels.ndim != 1 or wheels.size == 0 or not np.isfinite(wheels).all():
         raise InputError(f'wheel offsets: expected at least one finite number, got {offsets}')
-    if not (np.isfinite(time_step) and time_step > 0.0):
-        raise InputError(f'time step: expected a positive number of seconds, got {time_step:g}')
+    if not (np.isfinite(time_step) and time_step >= SHORTEST_TIME_STEP):
+        raise InputError(f'time step: expected at least {SHORTEST_TIME_STEP:g} s, got '
+                         f'{time_step:g}')
     return wheels
 
 

@@ -14,9 +14,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-import numpy as np
 
 from railtrack_ros.dynamics.contact import contact_step
 from railtrack_ros.dynamics.interpolation import cubic, locate
@@ -30,7 +30,8 @@ FINISHED, CONTACT_FAILED, DIVERGED = range(3)
 class Entries(NamedTuple):
     """Non-zero entries of the bay matrices, two of a row at a time.
 
-    value (n, 2, lanes) at row (n,) and column (n, 2); an odd row ends with a zero.
+    value (n, 2, lanes) at row (n,) and column (n, 2), or (n, 2, 1) where all bays are alike; an
+    odd row ends with a zero.
     """
 
     row: Indices
@@ -41,16 +42,19 @@ class Entries(NamedTuple):
 class Operator(NamedTuple):
     """The window's matrices, ready for time steps.
 
-    damping, stiffness: minus C and minus K.  forward, pivot, backward: partial L D L^T of
-    A = M + gamma dt C + beta dt^2 K of every bay, interior degrees of freedom first: minus L by
-    rows in the order of elimination, 1 / D (nb + 2, lanes) of the interior rows 2 .. nb - 1, and
-    minus L^T in the reverse order.  below, diagonal, above (bays + 1, 2, 2): block elimination of
-    the left nodes that remain.
+    C v + K u is computed as K (u + lag v) + (C - lag K) v, where the second matrix is nearly empty
+    if most of C is proportional to K: stiffness is -K, damping -(C - lag K).
+
+    forward, pivot, backward: partial L D L^T of A = M + gamma dt C + beta dt^2 K of a bay, interior
+    degrees of freedom first: minus L by rows in the order of elimination, 1 / D (nb + 2, lanes) of
+    the interior rows 2 .. nb - 1, and minus L^T in the reverse order.  below, diagonal, above
+    (bays + 1, 2, 2): block elimination of the left nodes that remain.
     """
 
     bays: int
-    damping: Entries
+    lag: float
     stiffness: Entries
+    damping: Entries
     forward: Entries
     pivot: Array
     backward: Entries
@@ -76,11 +80,19 @@ class Columns(NamedTuple):
 def multiply_add(entries, x, y):
     """y += matrix x over all lanes, rows in the order of the entries; x may be y."""
     lanes = x.shape[1]
-    for n in range(entries.row.size):
-        i = entries.row[n]
-        j, k = entries.column[n]
-        for b in range(lanes):
-            y[i, b] += entries.value[n, 0, b] * x[j, b] + entries.value[n, 1, b] * x[k, b]
+    if entries.value.shape[2] == 1:
+        for n in range(entries.row.size):
+            i = entries.row[n]
+            j, k = entries.column[n]
+            p, q = entries.value[n, 0, 0], entries.value[n, 1, 0]
+            for b in range(lanes):
+                y[i, b] += p * x[j, b] + q * x[k, b]
+    else:
+        for n in range(entries.row.size):
+            i = entries.row[n]
+            j, k = entries.column[n]
+            for b in range(lanes):
+                y[i, b] += entries.value[n, 0, b] * x[j, b] + entries.value[n, 1, b] * x[k, b]
 
 
 @njit(cache=True, fastmath={'contract'}, nogil=True)
@@ -126,19 +138,23 @@ def solve(op, r):
 
 
 @njit(cache=True, fastmath={'contract'}, nogil=True)
-def free_step(op, u, v, a, dt, beta, gamma):
-    """Predict u, v and find the accelerations a = A^-1 (-C v - K u) without external forces."""
+def free_step(op, u, v, a, ahead, dt, beta, gamma):
+    """Predict u, v and find the accelerations a = A^-1 (-C v - K u) without external forces.
+
+    ahead is scratch of the same shape (nb + 2, lanes).
+    """
     nb = u.shape[0] - 2
     lanes = u.shape[1]
     for i in range(nb):
         for b in range(lanes):
             u[i, b] += dt * v[i, b] + (0.5 - beta) * dt * dt * a[i, b]
             v[i, b] += (1.0 - gamma) * dt * a[i, b]
-    fetch_next(u, nb)
+            ahead[i, b] = u[i, b] + op.lag * v[i, b]
+    fetch_next(ahead, nb)
     fetch_next(v, nb)
     a[:] = 0.0
+    multiply_add(op.stiffness, ahead, a)
     multiply_add(op.damping, v, a)
-    multiply_add(op.stiffness, u, a)
     solve(op, a)
 
 
@@ -186,6 +202,7 @@ def run(op, columns, table, constants, home_bay, offsets, position, irregularity
     compliance = np.zeros((count, count))
     work = np.zeros((count, count + 3))
     now = np.zeros(count)
+    ahead = np.zeros_like(u)
     flat = columns.value.reshape((count, 2 * nb + 2, nb * reach))
 
     for n in range(position.size):
@@ -196,12 +213,18 @@ def run(op, columns, table, constants, home_bay, offsets, position, irregularity
             shift(v, op.bays, by)
             shift(a, op.bays, by)
             home_bay[0] = bay
-        free_step(op, u, v, a, dt, beta, gamma)
+        free_step(op, u, v, a, ahead, dt, beta, gamma)
 
         # Where the wheels press, the free deflection there, and what a force there would do.
         for w in range(count):
             number, interval, s = locate(table, position[n] + offsets[w])
             lane[w] = number - home_bay[0] + home_bay[1]
+            # A wheel a whole number of bays from the reference point may be rounded out of its
+            # two lanes, to a place that is the end of one of them.
+            if lane[w] < columns.home[w]:
+                lane[w], interval, s = columns.home[w], 0, 0.0
+            elif lane[w] > columns.home[w] + 1:
+                lane[w], interval, s = columns.home[w] + 1, table.element.size - 1, 1.0
             flexibility[w] = cubic(table.flexibility[interval], s)
             element = table.element[interval]
             free[w] = 0.0
@@ -262,12 +285,13 @@ def impulse_response(op, dof, lane, first, rows, dt, beta, gamma, out):
     u = np.zeros_like(op.pivot)
     v = np.zeros_like(op.pivot)
     a = np.zeros_like(op.pivot)
+    ahead = np.zeros_like(op.pivot)
     for step in range(out.shape[2]):
         if step == 0:
             a[dof, lane] = 1.0
             solve(op, a)
         else:
-            free_step(op, u, v, a, dt, beta, gamma)
+            free_step(op, u, v, a, ahead, dt, beta, gamma)
         correct(u, v, a, dt, beta, gamma)
         for k in range(rows.size):
             for b in range(out.shape[1]):

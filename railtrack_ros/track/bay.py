@@ -8,8 +8,9 @@ bay's left node, so that a track is a row of bays overlapping by two degrees of 
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -195,6 +196,24 @@ def make_bay(track: Track, mesh: Mesh | None = None) -> Bay:
         modal_dofs=np.array(modal_dofs, dtype=np.int64).reshape(-1),
         table=_interpolation(elements), **matrices,
     )
+
+
+def keep_local_modes(bay: Bay, elements: Sequence[int]) -> Bay:
+    """The bay with local modes in some of its elements only; the others' are uncoupled.
+
+    elements: indices from the bay's left end.  The thesis gives modes to a few elements around the
+    load; a load outside them is then not represented.
+    """
+    modes = bay.modal_dofs.reshape(len(bay.nodes) - 1, -1)
+    lost = np.delete(modes, list(elements), axis=0).ravel()
+    changed = {}
+    for name in ('stiffness', 'rail_stiffness', 'support_damping', 'rail_damping', 'mass'):
+        matrix = getattr(bay, name).copy()
+        own = np.diag(matrix)[lost].copy()
+        matrix[lost, :] = matrix[:, lost] = 0.0
+        matrix[lost, lost] = own
+        changed[name] = matrix
+    return dataclasses.replace(bay, **changed)
 
 
 def make_bays(track: Track, mesh: Mesh | None, first: int, count: int) -> list[Bay]:

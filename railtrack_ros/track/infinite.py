@@ -63,22 +63,25 @@ class Waves:
     left_stiffness: ComplexArray
 
 
-def condense(bay: HarmonicBay) -> tuple[ComplexArray, ComplexArray]:
-    """Reduce a bay to its ends.
+class CondensedBay:
+    """A bay reduced to its end sections: stiffness (f, 4, 4) of both ends' (w, theta)."""
 
-    Returns its stiffness (f, 4, 4) there, and the inner displacements (f, n - 4, 4) for unit
-    displacements of the ends.
-    """
-    inner = inner_dofs(bay)
-    k = bay.stiffness
-    coupling = k[:, inner[:, None], bay.ends]
-    follow = -np.linalg.solve(k[:, inner[:, None], inner], coupling)
-    return (k[:, bay.ends[:, None], bay.ends] + coupling.transpose(0, 2, 1) @ follow), follow
+    def __init__(self, bay: HarmonicBay) -> None:
+        k, ends = bay.stiffness, bay.ends
+        inner = np.setdiff1d(np.arange(k.shape[1]), ends)
+        coupling = k[:, inner[:, None], ends]
+        self.bay = bay
+        self._inner = inner
+        self._follow = -np.linalg.solve(k[:, inner[:, None], inner], coupling)
+        self.stiffness: ComplexArray = (
+            k[:, ends[:, None], ends] + coupling.transpose(0, 2, 1) @ self._follow)
 
-
-def inner_dofs(bay: HarmonicBay) -> NDArray[np.int64]:
-    """Return the degrees of freedom of a bay that are not of its end sections."""
-    return np.setdiff1d(np.arange(bay.stiffness.shape[1]), bay.ends)
+    def displacements(self, ends: ComplexArray) -> ComplexArray:
+        """All displacements (f, n) of the bay without load from those of its ends (f, 4)."""
+        u = np.empty(self.bay.stiffness.shape[:2], dtype=complex)
+        u[:, self.bay.ends] = ends
+        u[:, self._inner] = (self._follow @ ends[..., None])[..., 0]
+        return u
 
 
 def bloch_waves(stiffness: ComplexArray) -> Waves:
@@ -129,14 +132,16 @@ def _power(mu: ComplexArray, a: ComplexArray, b: ComplexArray, g: ComplexArray) 
 class Row:
     """Bays in a row with a unit harmonic force in one of them.
 
-    A subclass knows the rest of the row: the stiffness with which it holds the loaded bay's ends,
-    and how displacements continue into it.
+    A subclass knows its bays, the stiffness with which the rest of the row holds one of them, and
+    how displacements continue from it into the rest.
     """
 
-    def __init__(self, bay: HarmonicBay) -> None:
-        self.bay = bay
-        self.condensed, self._follow = condense(bay)
-        self._inner = inner_dofs(bay)
+    spacing: float
+    start: float
+
+    def bay(self, number: int) -> CondensedBay:
+        """Return the bay of that number."""
+        raise NotImplementedError
 
     def closures(self, number: int) -> tuple[ComplexArray, ComplexArray]:
         """Stiffness (f, 2, 2) of the rest of the row, left and right of the bay of that number."""
@@ -148,36 +153,29 @@ class Row:
 
     def locate(self, x: float) -> tuple[int, float]:
         """Bay number of the track position x [m], and the distance from that bay's left end."""
-        number = math.floor((x - self.bay.start) / self.bay.spacing)
-        inside = x - self.bay.start - number * self.bay.spacing
-        return number, min(max(inside, 0.0), self.bay.spacing)
+        number = math.floor((x - self.start) / self.spacing)
+        inside = x - self.start - number * self.spacing
+        return number, min(max(inside, 0.0), self.spacing)
 
     def excite(self, force: float | Sleeper) -> Response:
         """Return the response to a unit force on the rail at x [m] or on a sleeper."""
         number, inside, load = self.weights(force)
-        k = self.bay.stiffness.copy()
-        left, right = self.closures(number)
-        first, last = self.bay.ends[:2], self.bay.ends[2:]
-        k[:, first[:, None], first] += left
-        k[:, last[:, None], last] += right
+        bay = self.bay(number).bay
+        k = bay.stiffness.copy()
+        for ends, hold in zip((bay.ends[:2], bay.ends[2:]), self.closures(number), strict=True):
+            k[:, ends[:, None], ends] += hold
         u = np.linalg.solve(k, load[..., None])[..., 0]
         return Response(self, number, inside, u)
 
     def weights(self, point: float | Sleeper) -> tuple[int, float | None, ComplexArray]:
         """Bay number, place in that bay (None: its sleeper) and weights (f, n) of a point."""
         if isinstance(point, Sleeper):
-            weights = np.zeros(self.bay.stiffness.shape[:2], dtype=complex)
-            weights[:, self.bay.sleeper] = 1.0
+            bay = self.bay(point.number).bay
+            weights = np.zeros(bay.stiffness.shape[:2], dtype=complex)
+            weights[:, bay.sleeper] = 1.0
             return point.number, None, weights
         number, inside = self.locate(point)
-        return number, inside, self.bay.shape(inside)
-
-    def displacements(self, ends: ComplexArray) -> ComplexArray:
-        """All displacements (f, n) of a bay without load from those of its ends (f, 4)."""
-        u = np.empty(self.bay.stiffness.shape[:2], dtype=complex)
-        u[:, self.bay.ends] = ends
-        u[:, self._inner] = (self._follow @ ends[..., None])[..., 0]
-        return u
+        return number, inside, self.bay(number).bay.shape(inside)
 
 
 @dataclass(frozen=True)
@@ -200,12 +198,13 @@ class Response:
         """Displacement (f,) [m/N] of the rail at x [m], or of a sleeper."""
         number, inside, weights = self.row.weights(point)
         u = self.displacement
+        loaded = self.row.bay(self.loaded).bay
         if number != self.loaded:
-            ends = u[:, self.row.bay.ends]
-            u = self.row.displacements(self.row.carry(ends, self.loaded, number))
+            ends = self.row.carry(u[:, loaded.ends], self.loaded, number)
+            u = self.row.bay(number).displacements(ends)
         w: ComplexArray = (weights * u).sum(axis=1)
         if number == self.loaded and inside is not None and self.load_inside is not None:
-            w = w + self.row.bay.flexibility(inside, self.load_inside)
+            w = w + loaded.flexibility(inside, self.load_inside)
         return w
 
 
@@ -213,8 +212,13 @@ class InfiniteRow(Row):
     """Infinitely many identical bays: no reflection, no end."""
 
     def __init__(self, bay: HarmonicBay) -> None:
-        super().__init__(bay)
-        self.waves = bloch_waves(self.condensed)
+        self.spacing, self.start = bay.spacing, bay.start
+        self._bay = CondensedBay(bay)
+        self.waves = bloch_waves(self._bay.stiffness)
+
+    def bay(self, number: int) -> CondensedBay:
+        """Return the bay, the same for every number."""
+        return self._bay
 
     def closures(self, number: int) -> tuple[ComplexArray, ComplexArray]:
         """Return the stiffness of the half-infinite rows on either side."""
