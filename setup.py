@@ -39,6 +39,7 @@ setup(
         *shared('config'),
         *shared('launch'),
         *shared('bags'),
+        *shared('benchmarks'),
     ],
     # What a distribution of ROS ships is enough; requirements/ pins what is tested.
     install_requires=[
@@ -62,6 +63,7 @@ setup(
             'railtrack = railtrack_ros.cli.main:main',
             'track_estimator = railtrack_ros.node.track_estimator:main',
             'virtual_vehicle = railtrack_ros.node.virtual_vehicle:main',
+            'recorder = railtrack_ros.node.recorder:main',
         ],
     },
 )

@@ -19,9 +19,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from railtrack_ros.compiled import njit
 from railtrack_ros.errors import InputError
 from railtrack_ros.vehicle.description import Vehicle
 
@@ -56,6 +56,7 @@ def wheel_constants(vehicle: Vehicle, time_step: float, beta: float = 0.25, gamm
     InputError
         A time step [s] that cannot follow the wheel on its contact spring.
     """
+    vehicle.require_rigid_wheels('the contact step')
     wheel, contact = vehicle.wheel, vehicle.contact
     longest = longest_time_step(vehicle)
     if not 0.0 < time_step <= longest:

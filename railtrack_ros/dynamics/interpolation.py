@@ -9,9 +9,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from railtrack_ros.compiled import njit
 from railtrack_ros.track.bay import Bay
 
 Array = NDArray[np.float64]

@@ -15,9 +15,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from railtrack_ros.compiled import njit
 from railtrack_ros.dynamics.contact import contact_step
 from railtrack_ros.dynamics.interpolation import cubic, locate
 

@@ -18,9 +18,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from railtrack_ros.compiled import njit
 from railtrack_ros.dynamics.contact import contact_step, standing_wheels, wheel_constants
 from railtrack_ros.dynamics.forward import ForwardResult, StepFailure, check_run, check_setup
 from railtrack_ros.dynamics.interpolation import ShapeTable, cubic, locate

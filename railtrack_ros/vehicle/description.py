@@ -7,9 +7,29 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from railtrack_ros import parameters, paths
+from railtrack_ros.errors import InputError
 from railtrack_ros.parameters import ANY, NOT_NEGATIVE, POSITIVE, Range, Section
 
 RAILS = ('left', 'right')
+
+
+@dataclass(frozen=True)
+class Suspension:
+    """The primary suspension above one wheel and the mass that it carries."""
+
+    stiffness: float  # N/m
+    damping: float  # N s/m
+    sprung_mass: float  # kg
+
+
+@dataclass(frozen=True)
+class WheelMode:
+    """One flexible mode of the wheelset, mass-normalised, as seen at contact and axle box."""
+
+    frequency: float  # Hz
+    damping_ratio: float
+    contact_shape: float  # 1/sqrt(kg), displacement of the contact point, up positive
+    axle_box_shape: float  # 1/sqrt(kg), displacement of the axle box
 
 
 @dataclass(frozen=True)
@@ -19,6 +39,8 @@ class Wheel:
     mass: float  # M, unsprung mass per wheel, kg
     static_load: float  # W, the whole static wheel load on the rail, N
     radius: float  # R, m
+    suspension: Suspension | None = None
+    modes: tuple[WheelMode, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -54,11 +76,25 @@ class Vehicle:
         """The rails that carry an axle box, left before right."""
         return tuple(rail for rail in RAILS if self.on_rail(rail))
 
+    def require_rigid_wheels(self, purpose: str) -> None:
+        """Raise InputError where `purpose` cannot take more than rigid wheels."""
+        for key in ('suspension', 'modes'):
+            if getattr(self.wheel, key):
+                raise InputError(f'vehicle {self.name}: wheel.{key}: {purpose} does not take it '
+                                 'yet; remove the key')
+
     def on_rail(self, rail: str) -> tuple[AxleBox, ...]:
         """Return the axle boxes on a rail in the order of the file."""
         return tuple(box for box in self.axle_boxes if box.rail == rail)
 
 
+SUSPENSION_RANGES = {'stiffness': POSITIVE, 'damping': NOT_NEGATIVE, 'sprung_mass': POSITIVE}
+MODE_RANGES = {
+    'frequency': POSITIVE,
+    'damping_ratio': Range(minimum=0.0, below=1.0),
+    'contact_shape': ANY,
+    'axle_box_shape': ANY,
+}
 WHEEL_RANGES = {'mass': POSITIVE, 'static_load': POSITIVE, 'radius': POSITIVE}
 CONTACT_RANGES = {'stiffness': POSITIVE, 'exponent': Range(minimum=1.0)}
 
@@ -80,7 +116,16 @@ def load_vehicle(name_or_path: str | Path) -> Vehicle:
     file.expect(('wheel', 'contact', 'axle_boxes'), ('description',))
 
     wheel = file.section('wheel')
-    wheel.expect(WHEEL_RANGES, not_yet=('suspension', 'modes'))
+    wheel.expect(WHEEL_RANGES, ('suspension', 'modes'))
+    suspension = None
+    if 'suspension' in wheel:
+        section = wheel.section('suspension')
+        section.expect(SUSPENSION_RANGES)
+        suspension = Suspension(**section.numbers(SUSPENSION_RANGES))
+    modes = []
+    for section in wheel.sections('modes') if 'modes' in wheel else ():
+        section.expect(MODE_RANGES)
+        modes.append(WheelMode(**section.numbers(MODE_RANGES)))
 
     contact = file.section('contact')
     contact.expect(CONTACT_RANGES, ('damping',))
@@ -89,7 +134,7 @@ def load_vehicle(name_or_path: str | Path) -> Vehicle:
 
     return Vehicle(
         name=path.stem,
-        wheel=Wheel(**wheel.numbers(WHEEL_RANGES)),
+        wheel=Wheel(**wheel.numbers(WHEEL_RANGES), suspension=suspension, modes=tuple(modes)),
         contact=Contact(**contact.numbers(CONTACT_RANGES)),
         axle_boxes=_axle_boxes(file.sections('axle_boxes')),
         description=file.text('description', default=''),
