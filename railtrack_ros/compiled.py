@@ -7,8 +7,10 @@ one of them changes, every one is compiled again, once.
 
 from __future__ import annotations
 
+import atexit
 import hashlib
 import os
+import shutil
 import sys
 import tempfile
 from pathlib import Path
@@ -38,7 +40,7 @@ def cache_folder() -> Path:
 
 
 def _prepare() -> Path:
-    """Make the folder, in the system's temporary one where the user's cannot be written."""
+    """Make the folder; where the user's cannot be written, one for this process alone."""
     folder = cache_folder()
     try:
         if not folder.is_dir():
@@ -47,8 +49,8 @@ def _prepare() -> Path:
                 print('railtrack: compiling its loops for this machine, once: '
                       'up to half a minute', file=sys.stderr)
     except OSError:
-        folder = Path(tempfile.gettempdir()) / f'railtrack_ros-{os.getuid()}' / folder.name
-        folder.mkdir(parents=True, exist_ok=True)
+        folder = Path(tempfile.mkdtemp(prefix='railtrack_ros-'))
+        atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return folder
 
 
