@@ -1,0 +1,178 @@
+"""Samples in time put on a uniform grid in distance, as they come.
+
+Between samples the signal is interpolated by a windowed sinc; where the samples lie closer than the
+grid, the sinc is that of the grid, so that nothing shorter than two grid steps is folded back.
+Flat within 0.02 dB down to 2.5 samples or grid steps a wave, whichever is longer.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from railtrack_ros.compiled import njit
+
+Array = NDArray[np.float64]
+
+# Half width of the interpolation kernel in samples (or grid steps), and points of its table.
+HALF_WIDTH = 10
+TABLE = 512
+KAISER = 5.0
+
+# The kernel covers at most so many samples on each side.
+MOST_SAMPLES = 512
+
+# A position increment above this many times those before it, and 1 mm, is no motion but a gap or
+# a correction of the position.
+JUMP = 3.0
+
+
+@dataclass(frozen=True)
+class Points:
+    """Points of the distance grid.
+
+    values (m, channels): NaN where a sample within the kernel is; position (m,) [m]: the track
+    position; spacing (m,) [m]: distance of the samples there.
+    """
+
+    values: Array
+    position: Array
+    spacing: Array
+
+
+class DistanceGrid:
+    """Resamples channels from positions in time to a uniform grid in distance run.
+
+    The grid counts distance run in either direction. A jump of the position changes the track
+    position of the points but leaves the grid going.
+
+    Parameters
+    ----------
+    step
+        Of the grid [m].
+    channels
+        Number of channels.
+    """
+
+    def __init__(self, step: float, channels: int) -> None:
+        self.step = step
+        self._distance: Array = np.zeros(0)
+        self._position: Array = np.zeros(0)
+        self._values: Array = np.zeros((0, channels))
+        self._next = 0  # number of the next point of the grid
+        self._increment = self._moved = 0.0
+        self._broken = False
+
+    def add(self, position: Array, values: Array) -> Points:
+        """Take samples and return the points that they complete.
+
+        position (n,) [m], NaN where it is not known; values (n, channels), NaN where not valid.
+        """
+        known = np.isfinite(position)
+        values = np.array(values)
+        if not known.all():
+            first = np.flatnonzero(known & ~np.concatenate(([not self._broken], known[:-1])))
+            values[first] = np.nan
+            self._broken = not known[-1]
+            position, values = position[known], values[known]
+        elif self._broken:
+            values[0] = np.nan
+            self._broken = False
+        if position.size:
+            self._append(position, values)
+        return self._complete()
+
+    def _append(self, position: Array, values: Array) -> None:
+        last = self._position[-1] if self._position.size else position[0]
+        increments, self._increment, self._moved = _motion(
+            position, float(last), self._increment, self._moved
+        )
+        start = self._distance[-1] if self._distance.size else 0.0
+        distance = np.add.accumulate(np.concatenate(([start], increments)))[1:]
+        self._distance = np.concatenate((self._distance, distance))
+        self._position = np.concatenate((self._position, position))
+        self._values = np.concatenate((self._values, values))
+
+    def _complete(self) -> Points:
+        if self._distance.size < 2:
+            return Points(np.zeros((0, self._values.shape[1])), np.zeros(0), np.zeros(0))
+        room = max(int(self._distance[-1] / self.step) - self._next + 1, 0)
+        points = Points(
+            np.empty((room, self._values.shape[1])), np.empty(room), np.empty(room)
+        )
+        made, used = _resample(
+            self._distance, self._position, self._values, self._next, self.step, KERNEL,
+            points.values, points.position, points.spacing,
+        )  # fmt: skip
+        self._next += made
+        drop = max(used - MOST_SAMPLES - 1, 0)
+        self._distance = self._distance[drop:]
+        self._position = self._position[drop:]
+        self._values = self._values[drop:]
+        return Points(points.values[:made], points.position[:made], points.spacing[:made])
+
+
+def _kernel() -> Array:
+    """Windowed sinc over 0 ... HALF_WIDTH, TABLE points a unit, and two zeros."""
+    u = np.arange(HALF_WIDTH * TABLE + 1) / TABLE
+    window = np.i0(KAISER * np.sqrt(1.0 - (u / HALF_WIDTH) ** 2)) / np.i0(KAISER)
+    return np.concatenate((np.sinc(u) * window, np.zeros(2)))
+
+
+KERNEL = _kernel()
+
+
+@njit(cache=True, nogil=True)
+def _motion(position, last, increment, moved):
+    """Distances run between samples; a jump, unlike both neighbours, repeats the one before it."""
+    increments = np.empty(position.size)
+    for n in range(position.size):
+        before, moved = moved, abs(position[n] - last)
+        if moved <= JUMP * max(increment, before) + 1e-3:
+            increment = moved
+        increments[n] = increment
+        last = position[n]
+    return increments, increment, moved
+
+
+@njit(cache=True, nogil=True)
+def _resample(distance, position, values, first, step, kernel, out, out_position, out_spacing):
+    """Fill the points from number `first` on; return how many, and the sample they reached."""
+    samples, channels = values.shape
+    made, i = 0, 0
+    total = np.empty(channels)
+    while True:
+        at = (first + made) * step
+        while i < samples - 2 and distance[i + 1] <= at:
+            i += 1
+        if made == out.shape[0] or distance[i + 1] <= at:
+            return made, i
+        spacing = distance[i + 1] - distance[i]
+        stretch = max(1.0, step / spacing)
+        half = min(math.ceil(HALF_WIDTH * stretch), MOST_SAMPLES)
+        if i + half >= samples:
+            return made, i
+        fraction = (at - distance[i]) / spacing
+        onwards = position[i + 1] - position[i]
+        out_position[made] = position[i]
+        if abs(onwards) < 2.0 * spacing:
+            out_position[made] += fraction * onwards
+        out_spacing[made] = spacing
+        if i - half + 1 < 0:
+            out[made, :] = np.nan
+        else:
+            total[:] = 0.0
+            weights = 0.0
+            for j in range(i - half + 1, i + half + 1):
+                u = abs(j - i - fraction) / stretch * TABLE
+                cell = min(int(u), kernel.size - 2)
+                weight = kernel[cell] + (u - cell) * (kernel[cell + 1] - kernel[cell])
+                weights += weight
+                for c in range(channels):
+                    total[c] += weight * values[j, c]
+            for c in range(channels):
+                out[made, c] = total[c] / weights
+        made += 1

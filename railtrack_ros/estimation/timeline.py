@@ -1,0 +1,132 @@
+"""Where a block of samples belongs in time: whether it continues the stream, at which rate."""
+
+from __future__ import annotations
+
+import math
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+SECOND = 1_000_000_000  # ns
+
+# Blocks that come back by more than this [s] tell that the clock was set back.
+CLOCK_RESET = 5.0
+
+# How much the expected time of a block follows the stamp of the last one. Stamps jitter; a small
+# share halves the disturbance and still follows any drift between sensor and computer.
+FOLLOW = 0.1
+
+# Sample periods within this share of one another are of the same rate.
+SAME_RATE = 1e-3
+
+# A sample lies off the uniform grid of its block by at most this share of the sample period.
+UNIFORMITY = 0.5
+
+
+class Place(Enum):
+    """What a block is to the stream so far."""
+
+    CONTINUED = 'follows the last block'
+    STARTED = 'begins a stretch after a gap, or the stream itself'
+    REWOUND = 'begins the stream anew: the clock was set back'
+    DROPPED = 'cannot be used'
+
+
+class SampleClock:
+    """Checks the times of successive blocks of uniformly sampled data.
+
+    The sample period is that of the first block, rounded to six digits of its rate so that it
+    does not depend on the length of that block. A block continues the stream if its stamp is the
+    expected one within the tolerance; the expectation follows the stamps, so that a slow drift
+    between the clock of the sensor and that of the stamps does no harm.
+
+    Attributes
+    ----------
+    step
+        Sample period [s], None before the first block.
+    gap
+        Time [s] between the block and the expected one, negative for an overlap.
+    """
+
+    def __init__(self, tolerance: float) -> None:
+        self.tolerance = tolerance
+        self.step: float | None = None
+        self.gap = 0.0
+        self._start_ns: int | None = None
+        self._expected_ns = 0
+
+    def place(self, stamp_ns: int, t: Array) -> tuple[Place, str]:
+        """Place a block.
+
+        Parameters
+        ----------
+        stamp_ns
+            Time that `t` counts from [ns].
+        t
+            (n,) times of the samples after the stamp [s].
+
+        Returns
+        -------
+        tuple
+            The place, and a remark: empty if there is nothing to say.
+        """
+        problem = self._problem(t)
+        if problem:
+            return Place.DROPPED, f'block dropped: {problem}'
+        start_ns = stamp_ns + round(float(t[0]) * SECOND)
+        place, remark = self._against_last(start_ns)
+        if place is Place.DROPPED:
+            return place, remark
+        if t.size > 1:
+            period = float(t[-1] - t[0]) / (t.size - 1)
+            if self.step is None:
+                self.step = _rounded(period)
+            elif abs(period - self.step) > self.step * max(SAME_RATE, UNIFORMITY / (t.size - 1)):
+                remark = f'sample rate changed from {1 / self.step:.6g} to {1 / period:.6g} Hz'
+                place = place if place is Place.REWOUND else Place.STARTED
+                self.step = _rounded(period)
+        assert self.step is not None
+        self._start_ns, smooth_ns = start_ns, start_ns
+        if place is Place.CONTINUED:
+            smooth_ns = self._expected_ns + round(FOLLOW * (start_ns - self._expected_ns))
+        self._expected_ns = smooth_ns + round(t.size * self.step * SECOND)
+        return place, remark
+
+    def _problem(self, t: Array) -> str:
+        if t.ndim != 1 or t.size == 0 or not np.isfinite(t).all():
+            return 'expected at least one finite sample time'
+        if t.size == 1:
+            return '' if self.step else 'the sample rate cannot be told from a single sample'
+        period = (t[-1] - t[0]) / (t.size - 1)
+        if not period > 0.0:
+            return 'the sample times do not increase'
+        off = np.abs(t - t[0] - period * np.arange(t.size)).max()
+        if off > UNIFORMITY * period:
+            return f'a sample lies {off / period:.2g} sample periods off the uniform grid'
+        return ''
+
+    def _against_last(self, start_ns: int) -> tuple[Place, str]:
+        if self._start_ns is None or self.step is None:
+            return Place.STARTED, ''
+        self.gap = (start_ns - self._expected_ns) / SECOND
+        if abs(self.gap) <= self.tolerance:
+            return Place.CONTINUED, ''
+        back = (self._start_ns - start_ns) / SECOND
+        if back > CLOCK_RESET:
+            return Place.REWOUND, f'the clock was set back by {back:.3f} s: start anew'
+        if back == 0.0:
+            return Place.DROPPED, 'block dropped: it has the stamp of the last one'
+        if back > 0.0:
+            return Place.DROPPED, f'block dropped: {back:.3f} s before the last one'
+        if self.gap < 0.0:
+            return Place.STARTED, f'blocks overlap by {-self.gap * 1e3:.3g} ms: start anew'
+        lost = math.floor(self.gap / self.step + 0.5)
+        return Place.STARTED, f'gap of {self.gap:.4g} s ({lost} samples): start anew'
+
+
+def _rounded(period: float) -> float:
+    """Return a sample period [s] with its rate rounded to six digits."""
+    return 1.0 / float(f'{1.0 / period:.6g}')
