@@ -1,4 +1,4 @@
-"""What a vehicle is to the track: rigid unsprung masses under a static load, Hertzian contacts."""
+"""What a vehicle is to the track: unsprung masses under a static load, Hertzian contacts."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ RAILS = ('left', 'right')
 
 @dataclass(frozen=True)
 class Suspension:
-    """The primary suspension above one wheel and the mass that it carries."""
+    """The primary suspension between an axle box and the mass that it carries."""
 
     stiffness: float  # N/m
     damping: float  # N s/m
@@ -49,7 +49,7 @@ class Contact:
 
     stiffness: float  # K_H, N/m**exponent
     exponent: float  # 1.5: Hertz, 1: linear
-    damping: float = 0.0  # N s/m
+    damping: float = 0.0  # N s/m, of the linearised contact at the static load
 
 
 @dataclass(frozen=True)
@@ -82,6 +82,12 @@ class Vehicle:
             if getattr(self.wheel, key):
                 raise InputError(f'vehicle {self.name}: wheel.{key}: {purpose} does not take it '
                                  'yet; remove the key')
+
+    def require_undamped_contact(self, purpose: str) -> None:
+        """Raise InputError where `purpose` cannot take a contact with damping."""
+        if self.contact.damping:
+            raise InputError(f'vehicle {self.name}: contact.damping: {purpose} does not take it '
+                             'yet; remove the key')
 
     def on_rail(self, rail: str) -> tuple[AxleBox, ...]:
         """Return the axle boxes on a rail in the order of the file."""
@@ -129,13 +135,12 @@ def load_vehicle(name_or_path: str | Path) -> Vehicle:
 
     contact = file.section('contact')
     contact.expect(CONTACT_RANGES, ('damping',))
-    if 'damping' in contact and contact.number('damping', NOT_NEGATIVE) != 0.0:
-        raise contact.error('damping', 'a value other than 0 is not supported yet by this version')
+    damping = contact.number('damping', NOT_NEGATIVE) if 'damping' in contact else 0.0
 
     return Vehicle(
         name=path.stem,
         wheel=Wheel(**wheel.numbers(WHEEL_RANGES), suspension=suspension, modes=tuple(modes)),
-        contact=Contact(**contact.numbers(CONTACT_RANGES)),
+        contact=Contact(**contact.numbers(CONTACT_RANGES), damping=damping),
         axle_boxes=_axle_boxes(file.sections('axle_boxes')),
         description=file.text('description', default=''),
     )
