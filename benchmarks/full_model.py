@@ -15,7 +15,8 @@ from plain_newmark import PlainModel
 from railtrack_ros.dynamics.newmark import FullModel
 from railtrack_ros.irregularity.profile import iso3095
 from railtrack_ros.track.bay import Bay, Mesh, make_bay
-from railtrack_ros.track.description import load_track
+from railtrack_ros.track.description import PadNonlinearity, load_track
+from railtrack_ros.track.row import BayRow
 from railtrack_ros.vehicle.description import load_vehicle
 
 TITLE = 'full Newmark model'
@@ -43,6 +44,10 @@ def figures() -> Iterator[Figure]:
     for margin in (60, 120):
         yield Figure(f'concentrated, {2 * margin + 2} bays x 6 elements, 1 wheel',
                      _microseconds(_bay('concentrated', 6), margin=margin), 'us/step')
+    yield Figure('the first on uneven track: every fifth sleeper softer',
+                 _microseconds(_uneven(), margin=30), 'us/step')
+    yield Figure('the first with progressive rail pads',
+                 _microseconds(_progressive(), margin=30), 'us/step')
     plain = _plain_microseconds(_bay('concentrated', 6))
     yield Figure('plain implementation, 61 bays x 6 elements, 1 wheel', plain, 'us/step')
     yield Figure('full model against the plain implementation', plain / one_wheel, 'times faster',
@@ -58,6 +63,19 @@ def _bay(kind: str, elements: int, local: str = 'static') -> Bay:
                     Mesh(elements_per_bay=elements, local_system=local))
 
 
+def _uneven() -> BayRow:
+    track = _bay('concentrated', 6).track
+    soft = dataclasses.replace(track.support, ballast_stiffness=30e6)
+    return BayRow(dataclasses.replace(track, sleepers=tuple(
+        (index, soft) for index in range(-50, 200, 5))), Mesh(elements_per_bay=6))
+
+
+def _progressive() -> BayRow:
+    track = _bay('concentrated', 6).track
+    support = dataclasses.replace(track.support, pad_nonlinearity=PadNonlinearity(20e3, 120e6))
+    return BayRow(dataclasses.replace(track, support=support), Mesh(elements_per_bay=6))
+
+
 def _run(offsets: Sequence[float], steps: int) -> tuple[np.ndarray, np.ndarray]:
     """Positions and irregularity of a run."""
     position = SPEED * STEP * np.arange(steps)
@@ -65,7 +83,7 @@ def _run(offsets: Sequence[float], steps: int) -> tuple[np.ndarray, np.ndarray]:
     return position, roughness.at(position[:, None] + np.asarray(offsets))
 
 
-def _microseconds(bay: Bay, offsets: Sequence[float] = (0.0,), margin: int = 30) -> float:
+def _microseconds(bay: Bay | BayRow, offsets: Sequence[float] = (0.0,), margin: int = 30) -> float:
     position, irregularity = _run(offsets, (REPEATS + 1) * STEPS)
     model = FullModel(bay, load_vehicle('blanco_table_3_1'), offsets, STEP, 0.0, margin=margin)
     model.run(position[:10], irregularity[:10])  # compiled, caches warm

@@ -8,7 +8,14 @@ import yaml
 
 from railtrack_ros import paths
 from railtrack_ros.errors import InputError
-from railtrack_ros.track.description import SUPPORT_KINDS, load_track, shipped_tracks
+from railtrack_ros.track.bay import make_bay
+from railtrack_ros.track.description import (
+    SUPPORT_KINDS,
+    BallastLiftOff,
+    PadNonlinearity,
+    load_track,
+    shipped_tracks,
+)
 from railtrack_ros.vehicle.description import load_vehicle, shipped_vehicles
 
 TRACK = """
@@ -120,6 +127,21 @@ def test_stretches_and_single_sleepers_change_their_own_bays_only(write):
         track.require_periodic('a ring')
 
 
+def test_non_linear_supports_are_read_inherited_and_refused_by_linear_models(write):
+    changes = {'support': {**yaml.safe_load(TRACK)['support'], 'pad_nonlinearity': {
+        'preload': 2e4, 'unloaded_stiffness': 1e8}}, 'sleepers': [
+            {'index': 4, 'ballast_lift_off': {'gap': 1e-3}}, {'index': 5, 'pad_stiffness': 0}]}
+    track = load_track(write(yaml.safe_dump({**yaml.safe_load(TRACK), **changes})))
+    assert track.support.pad_nonlinearity == PadNonlinearity(2e4, 1e8)
+    assert track.bay(4).support.pad_nonlinearity == PadNonlinearity(2e4, 1e8)
+    assert track.bay(4).support.ballast_lift_off == BallastLiftOff(gap=1e-3)
+    assert track.bay(5).support.linear
+    with pytest.raises(InputError, match='support.pad_nonlinearity: a ring cannot take it'):
+        track.require_linear('a ring')
+    with pytest.raises(InputError, match='pad_nonlinearity: a linear model cannot take it'):
+        make_bay(track.bay(0))
+
+
 @pytest.mark.parametrize('kind', SUPPORT_KINDS)
 def test_every_contracted_kind_of_support_is_read(write, kind):
     path = write(changed(TRACK, ['support', 'kind'], kind))
@@ -152,7 +174,14 @@ def test_every_contracted_kind_of_support_is_read(write, kind):
         (['support', 'pad_damping'], -1, 'support.pad_damping: expected a number of at least 0'),
         (['support', 'sleeper_mass'], 0, 'support.sleeper_mass: expected a number above 0'),
         (['support', 'ballast_stiffness'], 0, 'support.ballast_stiffness: expected a number'),
-        (['support', 'pad_nonlinearity'], {}, 'pad_nonlinearity: not supported yet by this v'),
+        (['support', 'pad_nonlinearity'], {}, 'support.pad_nonlinearity.preload: missing key'),
+        (['support', 'pad_nonlinearity'], {'preload': 2e4, 'unloaded_stiffness': 351e6},
+         'unloaded_stiffness: expected a number above 0 and of at most 3.5e+08, got 3.51e+08'),
+        (['support', 'ballast_lift_off'], {'preload': 3e3, 'gap': 1e-3},
+         'support.ballast_lift_off: expected preload'),
+        (['support', 'ballast_lift_off'], {'gap': -1e-3}, 'ballast_lift_off.gap: expected a numb'),
+        (['sleepers'], [{'index': 1, 'ballast_lift_off': {}}],
+         'sleepers[0].ballast_lift_off: expected preload'),
         (['stretches'], [], 'stretches: expected a list of at least one entry, got an empty list'),
         (['stretches'], [{'from': 3, 'to': 2}], 'stretches[0].to: expected more than from'),
         (['stretches'], [{'from': 0, 'to': 2}], 'stretches[0]: changes nothing'),
@@ -196,7 +225,7 @@ def test_a_track_that_cannot_be_is_refused(write, place, value, message):
          'wheel.modes[0].damping_ratio: expected a number of at least 0 and below 1'),
         (['contact', 'stiffness'], 0, 'contact.stiffness: expected a number above 0'),
         (['contact', 'exponent'], 0.5, 'contact.exponent: expected a number of at least 1'),
-        (['contact', 'damping'], 1e4, 'contact.damping: a value other than 0 is not supported yet'),
+        (['contact', 'damping'], 'much', 'contact.damping: expected a number of at least 0'),
         (['contact', 'damping'], -1, 'contact.damping: expected a number of at least 0'),
         (['axle_boxes'], [], 'axle_boxes: expected a list of at least one entry, got an empty'),
         (['axle_boxes', 1, 'name'], 'lead', "axle_boxes[1].name: 'lead' is the name of an axle"),

@@ -179,21 +179,6 @@ def test_a_run_in_pieces_is_the_same_run(table_3_1):
     assert model.steps < model.iterations <= model.most_iterations * model.steps
 
 
-def test_values_bay_by_bay_give_the_same_steps_as_one_value_for_all(table_3_1):
-    bay = bay_of(table_3_1)
-    position = at_speed(40.0, 0.03)
-    irregularity = rough(position)
-    expected = drive(bay, position, irregularity)
-    model = FullModel(bay, WHEEL, (0.0,), 25e-6, 0.0)
-    lanes = model.operator.pivot.shape[1]
-    spread = {name: entries._replace(value=np.repeat(entries.value, lanes, axis=2))
-              for name, entries in model.operator._asdict().items() if hasattr(entries, 'value')}
-    assert len(spread) == 4
-    model.operator = model.operator._replace(**spread)
-    got = model.run(position, irregularity)
-    assert np.array_equal(got.contact_force, expected.contact_force)
-
-
 # --- the window -----------------------------------------------------------------------------------
 
 def test_travelling_window_agrees_with_a_long_track(table_3_1):

@@ -41,16 +41,30 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         'the wheels stand in static equilibrium there')
     parser.add_argument('--distance', type=number(POSITIVE), metavar='D',
                         help='distance to run, m; with --speed-file the whole file unless given')
-    parser.add_argument('--irregularity', metavar='CSV',
-                        help='position_m and irregularity_m, or irregularity_left_m and '
-                        'irregularity_right_m (default: smooth)')
+    parser.add_argument('--irregularity', metavar='CSV|KIND:...', action='append', default=[],
+                        help='a CSV of position_m and irregularity_m, or irregularity_left_m and '
+                        'irregularity_right_m; or iso3095:SEED, sine:WAVELENGTH:AMPLITUDE, '
+                        'corrugation:WAVELENGTH:AMPLITUDE:FROM:TO, joint:AT:DEPTH:LENGTH, '
+                        'flat:LENGTH:DEPTH[:AXLE_BOX], all in m; given several times they add up '
+                        '(default: smooth)')
     parser.add_argument('--time-step', type=number(POSITIVE), default=25e-6, metavar='DT',
                         help='s (default 25e-6)')
     parser.add_argument('--every', type=common.count(), default=1, metavar='N',
                         help='write every N-th time step (default 1)')
-    parser.add_argument('--margin', type=common.count(2), metavar='BAYS',
-                        help='newmark: bays of track beyond the outermost wheels (default 40, '
-                        'or 90 on a rail without loss)')
+    newmark = parser.add_argument_group('solver newmark')
+    newmark.add_argument('--margin', type=common.count(2), metavar='BAYS',
+                         help='bays of track beyond the outermost wheels (default 40, or 90 on a '
+                         'rail without loss)')
+    newmark.add_argument('--newmark-beta', type=number(POSITIVE), default=0.25, metavar='BETA',
+                         help='default 0.25')
+    newmark.add_argument('--newmark-gamma', type=number(POSITIVE), default=0.5, metavar='GAMMA',
+                         help='default 0.5; more damps high frequencies')
+    newmark.add_argument('--tolerance', type=number(POSITIVE), default=1e-10, metavar='X',
+                         help='relative change of an indentation at which the iteration of a time '
+                         'step stops (default 1e-10)')
+    newmark.add_argument('--iteration', choices=('newton', 'fixed'), default='newton',
+                         help='newton: exact Jacobian (default); fixed: the constant matrix of the '
+                         'track, contact forces on the right-hand side')
     common.add_output(parser, 'CSV', ', '.join(COLUMNS))
     common.add_model_options(parser)
 
@@ -58,15 +72,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> Outcome:
     """Run the simulation and write it as it goes."""
     from railtrack_ros.dynamics.forward import StepFailure
-    from railtrack_ros.irregularity.profile import read_csv
+    from railtrack_ros.irregularity.surface import read_part
     from railtrack_ros.output import replacing
     from railtrack_ros.runs.forward_run import (
         ForwardRun,
         ForwardSettings,
+        NewmarkOptions,
         constant_speed,
         read_speed,
     )
-    from railtrack_ros.track.bay import make_bay
     from railtrack_ros.vehicle.description import load_vehicle
 
     if args.speed is not None and args.distance is None:
@@ -75,10 +89,11 @@ def run(args: argparse.Namespace) -> Outcome:
     vehicle = load_vehicle(args.vehicle)
     speed = (read_speed(args.speed_file) if args.speed is None
              else constant_speed(args.speed, args.distance))
-    irregularity = read_csv(args.irregularity) if args.irregularity else {}
-    forward = ForwardRun(make_bay(track, mesh), vehicle, ForwardSettings(
+    forward = ForwardRun(track, mesh, vehicle, ForwardSettings(
         solver=args.solver, speed=speed, start=args.start, time_step=args.time_step,
-        distance=args.distance, irregularity=irregularity, margin=args.margin))
+        distance=args.distance, irregularity=tuple(map(read_part, args.irregularity)),
+        newmark=NewmarkOptions(args.margin, args.newmark_beta, args.newmark_gamma, args.tolerance,
+                               args.iteration)))
 
     statistics = _Statistics(len(vehicle.axle_boxes))
     failure = None
@@ -134,6 +149,20 @@ class _Statistics:
         self.last_time = float(chunk.time[-1])
 
 
+def _newmark(forward: ForwardRun) -> dict[str, Any]:
+    """What the summary says of the full model's time integration."""
+    settings, (most, most_support) = forward.settings, forward.most_iterations
+    if settings.solver != 'newmark':
+        return {}
+    found = {'most_iterations': most, 'tolerance': settings.newmark.tolerance,
+             'iteration': settings.newmark.iteration, 'newmark_beta': settings.newmark.beta,
+             'newmark_gamma': settings.newmark.gamma}
+    if most_support:
+        found |= {'support_iterations_per_step': forward.support_iterations_per_step,
+                  'most_support_iterations': most_support}
+    return found
+
+
 def _outcome(args: argparse.Namespace, forward: ForwardRun, statistics: _Statistics) -> Outcome:
     bay, boxes = forward.bay, forward.vehicle.axle_boxes
     settings = forward.settings
@@ -156,6 +185,7 @@ def _outcome(args: argparse.Namespace, forward: ForwardRun, statistics: _Statist
         'time_step_s': settings.time_step, 'steps': statistics.steps,
         'duration_s': statistics.last_time, 'start_m': settings.start,
         'end_m': settings.start + travelled, 'iterations_per_step': forward.iterations_per_step,
+        **_newmark(forward),
         'computing_s': forward.seconds, 'microseconds_per_step': 1e6 * per_step,
         'times_real_time': settings.time_step / per_step if per_step else None,
         'axle_boxes': per_box, 'output': args.output,
@@ -174,7 +204,12 @@ def _outcome(args: argparse.Namespace, forward: ForwardRun, statistics: _Statist
     lines += [
         f'{settings.solver}: {1e6 * per_step:.3g} us a step for {len(boxes)} wheel'
         f'{"s" if len(boxes) > 1 else ""} on {rails} rail{"s" if rails > 1 else ""}, '
-        f'{forward.iterations_per_step:.2f} Newton iterations a step',
+        f'{forward.iterations_per_step:.2f} '
+        f'{"fixed-matrix" if settings.newmark.iteration == "fixed" else "Newton"} iterations a '
+        'step' + (f' in {forward.support_iterations_per_step:.2f} rounds of the supports'
+                  if forward.support_iterations_per_step else '')
+        + (f' to a tolerance of {settings.newmark.tolerance:g}, at most '
+           f'{forward.most_iterations[0]}' if settings.solver == 'newmark' else ''),
         f'written: {args.output}',
     ]
     return Outcome(summary, lines)

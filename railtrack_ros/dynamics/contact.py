@@ -1,4 +1,4 @@
-"""Wheels on a rail, one time step: rigid unsprung masses on Hertzian springs.
+"""Wheels on a rail, one time step: unsprung masses or flexible wheelsets on Hertzian springs.
 
 Whatever computes the rail (finite elements, convolution, recursion), a time step of the wheels
 needs two things of it: the deflection that the rail would have at each wheel if no wheel pressed
@@ -8,6 +8,10 @@ on it during this step, and the compliance matrix that one step's contact forces
     delta = w_rail + r - w_wheel ,   f = K delta^p for delta > 0, else 0          (thesis 2.19)
 
 has one unknown per wheel, the indentation delta.  All forward solvers call :func:`contact_step`.
+
+A wheel may carry a primary suspension and flexible modes (`dynamics.wheelset`).  It stays a linear
+system between its contact force and its contact point, advanced by the same Newmark parameters, so
+the unknown of a time step is still the indentation alone.
 
 A damped contact follows Hunt and Crossley: f = K delta^p (1 + c delta' / W), never negative, so
 that c is the damping [N s/m] at the static load and force starts and ends at zero without a jump.
@@ -22,15 +26,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from railtrack_ros.compiled import njit
+from railtrack_ros.dynamics.wheelset import WheelsetStep, effective_mass, wheelset_step
 from railtrack_ros.errors import InputError
 from railtrack_ros.vehicle.description import Vehicle
 
 Array = NDArray[np.float64]
 
-# Rows of the wheels' state (5, wheels).
+# First rows of the wheels' state: displacement and velocity of the wheel at its contact point,
+# acceleration of the axle box (a rigid wheel moves as one), and the last two indentations.
 DISPLACEMENT, VELOCITY, ACCELERATION, INDENTATION, EARLIER_INDENTATION = range(5)
+# A wheelset of m degrees of freedom has 3 m rows more: displacements, velocities, accelerations.
+FIRST_OWN = 5
 
 MOST_ITERATIONS = 60
+MOST_FIXED_ITERATIONS = 1000  # they converge by a factor at best
+ITERATIONS = ('newton', 'fixed')
 
 
 class WheelConstants(NamedTuple):
@@ -45,18 +55,24 @@ class WheelConstants(NamedTuple):
     beta: float
     gamma: float
     tolerance: float  # of an indentation, relative
+    own_flexibility: float  # of the wheel at its contact point in one time step, m/N
+    fixed: bool  # iterate with the constant matrix, without the contact's tangent
+    wheelset: WheelsetStep
 
 
 def wheel_constants(vehicle: Vehicle, time_step: float, beta: float = 0.25, gamma: float = 0.5,
-                    tolerance: float = 1e-10) -> WheelConstants:
-    """Gather the constants of :func:`contact_step`; Newton stops at a change below tolerance.
+                    tolerance: float = 1e-10, iteration: str = 'newton') -> WheelConstants:
+    """Gather the constants of :func:`contact_step`, which stops at a change below tolerance.
+
+    iteration: 'newton' has the exact Jacobian; 'fixed' the constant matrix of the thesis, with
+    the contact forces of the last iterate on the right-hand side.
 
     Raises
     ------
     InputError
-        A time step [s] that cannot follow the wheel on its contact spring.
+        A time step [s] that cannot follow the wheel on its contact spring, a tolerance that is
+        not between 0 and 0.01, or an unknown iteration.
     """
-    vehicle.require_rigid_wheels('the contact step')
     wheel, contact = vehicle.wheel, vehicle.contact
     longest = longest_time_step(vehicle)
     if not 0.0 < time_step <= longest:
@@ -64,12 +80,21 @@ def wheel_constants(vehicle: Vehicle, time_step: float, beta: float = 0.25, gamm
             f'time step {time_step:g} s: too long for the contact, at most {longest:.2g} s (an '
             f'eighth of a period of the wheel on its contact spring)' if time_step > 0.0 else
             f'time step: expected a positive number of seconds, got {time_step:g}')
+    if not 1e-14 <= tolerance <= 0.01:
+        raise InputError(f'tolerance {tolerance:g}: expected 1e-14 to 0.01')
+    if iteration not in ITERATIONS:
+        raise InputError(f'iteration {iteration!r}: expected one of {", ".join(ITERATIONS)}')
+    wheelset = wheelset_step(wheel, time_step, beta, gamma)
+    own = beta * time_step * time_step / wheel.mass
+    if wheelset.contact.size:
+        own = beta * time_step**2 * float(wheelset.contact @ wheelset.drive)
     return WheelConstants(
         mass=float(wheel.mass), static_load=float(wheel.static_load),
         stiffness=float(contact.stiffness), exponent=float(contact.exponent),
         damping_time=contact.damping / wheel.static_load,
         time_step=float(time_step), beta=float(beta), gamma=float(gamma),
-        tolerance=float(tolerance),
+        tolerance=float(tolerance), own_flexibility=own, fixed=iteration == 'fixed',
+        wheelset=wheelset,
     )
 
 
@@ -82,7 +107,7 @@ def longest_time_step(vehicle: Vehicle) -> float:
     wheel, contact = vehicle.wheel, vehicle.contact
     indentation = (wheel.static_load / contact.stiffness) ** (1.0 / contact.exponent)
     tangent = contact.exponent * wheel.static_load / indentation
-    return 2.0 * math.pi / 8.0 * math.sqrt(wheel.mass / tangent)
+    return 2.0 * math.pi / 8.0 * math.sqrt(effective_mass(wheel) / tangent)
 
 
 def static_indentation(constants: WheelConstants) -> float:
@@ -92,10 +117,14 @@ def static_indentation(constants: WheelConstants) -> float:
 
 def standing_wheels(constants: WheelConstants, rail_deflection: Array, irregularity: Array
                     ) -> Array:
-    """State (5, wheels) of wheels at rest on the statically deflected rail [m], (wheels,) each."""
+    """State (rows, wheels) of wheels at rest on the statically deflected rail [m], (wheels,)."""
     indentation = static_indentation(constants)
-    state = np.zeros((5, np.size(rail_deflection)))
+    wheelset = constants.wheelset
+    state = np.zeros((FIRST_OWN + 3 * wheelset.contact.size, np.size(rail_deflection)))
     state[DISPLACEMENT] = rail_deflection + irregularity - indentation
+    # A lift of the whole wheelset strains neither suspension nor modes.
+    for row in np.flatnonzero(wheelset.rigid):
+        state[FIRST_OWN + row] = state[DISPLACEMENT]
     state[INDENTATION] = state[EARLIER_INDENTATION] = indentation
     return state
 
@@ -103,6 +132,41 @@ def standing_wheels(constants: WheelConstants, rail_deflection: Array, irregular
 def contact_work(wheels: int) -> Array:
     """Scratch for :func:`contact_step`."""
     return np.zeros((wheels, wheels + 3))
+
+
+@njit(cache=True, fastmath={'contract'}, nogil=True)
+def predict_wheelset(wheelset, state, dt, beta, gamma):
+    """Newmark's prediction of one wheelset, and its contact point's place under no new force.
+
+    state (5 + 3 m,).  The own accelerations become those that suspension and modes cause.
+    """
+    m = wheelset.contact.size
+    u, v, a = state[5:5 + m], state[5 + m:5 + 2 * m], state[5 + 2 * m:]
+    for k in range(m):
+        u[k] += dt * v[k] + (0.5 - beta) * dt * dt * a[k]
+        v[k] += (1.0 - gamma) * dt * a[k]
+    place = 0.0
+    for k in range(m):
+        a[k] = 0.0
+        for j in range(m):
+            a[k] -= wheelset.stiffness[k, j] * u[j] + wheelset.damping[k, j] * v[j]
+        place += wheelset.contact[k] * (u[k] + beta * dt * dt * a[k])
+    state[0] = place
+
+
+@njit(cache=True, fastmath={'contract'}, nogil=True)
+def correct_wheelset(wheelset, state, force, dt, beta, gamma):
+    """Add what the force [N] beyond the static load does, and read off the first three rows."""
+    m = wheelset.contact.size
+    u, v, a = state[5:5 + m], state[5 + m:5 + 2 * m], state[5 + 2 * m:]
+    state[0] = state[1] = state[2] = 0.0
+    for k in range(m):
+        a[k] += wheelset.drive[k] * force
+        u[k] += beta * dt * dt * a[k]
+        v[k] += gamma * dt * a[k]
+        state[0] += wheelset.contact[k] * u[k]
+        state[1] += wheelset.contact[k] * v[k]
+        state[2] += wheelset.box[k] * a[k]
 
 
 @njit(cache=True, fastmath={'contract'}, nogil=True)
@@ -122,7 +186,7 @@ def contact_step(rail_free, compliance, irregularity, wheels, constants, force, 
     irregularity
         (n,) combined irregularity [m] under the wheels.
     wheels
-        (5, n) state, rows as named above; overwritten.
+        (5 or more, n) state, rows as named above; overwritten.
     force
         (n,) compressive contact forces [N]; overwritten.
     work
@@ -131,17 +195,22 @@ def contact_step(rail_free, compliance, irregularity, wheels, constants, force, 
     Returns
     -------
     int
-        Newton iterations, or -1 if they did not converge.
+        Iterations, or -1 if they did not converge.
     """
     n = force.size
-    mass, load, stiffness, exponent, damping_time, dt, beta, gamma, tolerance = constants
-    own = beta * dt * dt / mass
+    (mass, load, stiffness, exponent, damping_time, dt, beta, gamma, tolerance, own, fixed,
+     wheelset) = constants
+    flexible = wheelset.contact.size > 0
+    most = MOST_FIXED_ITERATIONS if fixed else MOST_ITERATIONS
     scale = (load / stiffness) ** (1.0 / exponent)
     free, delta, change = work[:, n], work[:, n + 1], work[:, n + 2]
     for i in range(n):
-        a = wheels[2, i]
-        wheels[0, i] += dt * wheels[1, i] + (0.5 - beta) * dt * dt * a
-        wheels[1, i] += (1.0 - gamma) * dt * a
+        if flexible:
+            predict_wheelset(wheelset, wheels[:, i], dt, beta, gamma)
+        else:
+            a = wheels[2, i]
+            wheels[0, i] += dt * wheels[1, i] + (0.5 - beta) * dt * dt * a
+            wheels[1, i] += (1.0 - gamma) * dt * a
         free[i] = rail_free[i] + irregularity[i] - wheels[0, i] + own * load
         extrapolated = 2.0 * wheels[3, i] - wheels[4, i]
         delta[i] = extrapolated if extrapolated > 0.0 else free[i]
@@ -149,7 +218,7 @@ def contact_step(rail_free, compliance, irregularity, wheels, constants, force, 
     iterations = 0
     converged = False
     while not converged:
-        if iterations == MOST_ITERATIONS:
+        if iterations == most:
             return -1
         iterations += 1
         # Residual delta + C f - free and its Jacobian I + C diag(df / d delta).
@@ -171,7 +240,8 @@ def contact_step(rail_free, compliance, irregularity, wheels, constants, force, 
                 for i in range(n):
                     c = compliance[i, j] + (own if i == j else 0.0)
                     change[i] -= c * f
-                    work[i, j] += c * slope
+                    if not fixed:
+                        work[i, j] += c * slope
         # Elimination without pivoting: I + C D with C symmetric positive, D >= 0 diagonal.
         for k in range(n - 1):
             for i in range(k + 1, n):
@@ -199,10 +269,13 @@ def contact_step(rail_free, compliance, irregularity, wheels, constants, force, 
                 rate = (1.5 * d - 2.0 * wheels[3, i] + 0.5 * wheels[4, i]) / dt
                 f *= max(0.0, 1.0 + damping_time * rate)
         force[i] = f
-        a = (f - load) / mass
-        wheels[0, i] += beta * dt * dt * a
-        wheels[1, i] += gamma * dt * a
-        wheels[2, i] = a
+        if flexible:
+            correct_wheelset(wheelset, wheels[:, i], f - load, dt, beta, gamma)
+        else:
+            a = (f - load) / mass
+            wheels[0, i] += beta * dt * dt * a
+            wheels[1, i] += gamma * dt * a
+            wheels[2, i] = a
         wheels[4, i] = wheels[3, i]
         wheels[3, i] = d
     return iterations

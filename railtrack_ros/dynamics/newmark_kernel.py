@@ -1,4 +1,4 @@
-"""Compiled time step of the full model on a window of equal-patterned bays.
+"""Compiled time step of the full model on a window of bays of one pattern.
 
 Every state array is stored as [degree of freedom in the bay][bay], bays contiguous and padded to
 whole vector registers, so that each operation runs over all bays at once.  A bay's matrices act on
@@ -19,12 +19,19 @@ from numpy.typing import NDArray
 
 from railtrack_ros.compiled import njit
 from railtrack_ros.dynamics.contact import contact_step
-from railtrack_ros.dynamics.interpolation import cubic, locate
+from railtrack_ros.dynamics.interpolation import ShapeTable, cubic, interval_at
+from railtrack_ros.dynamics.support_forces import (
+    MOST_ITERATIONS,
+    SupportForces,
+    add_forces,
+    predict_supports,
+    update_forces,
+)
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-FINISHED, CONTACT_FAILED, DIVERGED = range(3)
+FINISHED, MOVED, CONTACT_FAILED, SUPPORT_FAILED, DIVERGED = range(5)
 
 
 class Entries(NamedTuple):
@@ -74,6 +81,20 @@ class Columns(NamedTuple):
     home: Indices
     first: Indices
     value: Array
+
+
+class Window(NamedTuple):
+    """Everything that time steps need of the track around the vehicle.
+
+    table: interpolations of all kinds of bays, arrays with a first axis of kinds; kind (lanes,)
+    that of each bay; supports: non-linear forces of pads and ballast.
+    """
+
+    operator: Operator
+    columns: Columns
+    table: ShapeTable
+    kind: Indices
+    supports: SupportForces
 
 
 @njit(cache=True, fastmath={'contract'}, nogil=True)
@@ -138,8 +159,8 @@ def solve(op, r):
 
 
 @njit(cache=True, fastmath={'contract'}, nogil=True)
-def free_step(op, u, v, a, ahead, dt, beta, gamma):
-    """Predict u, v and find the accelerations a = A^-1 (-C v - K u) without external forces.
+def predict(op, u, v, a, ahead, dt, beta, gamma):
+    """Newmark's prediction of u, v; a becomes the force -C v - K u that it leaves.
 
     ahead is scratch of the same shape (nb + 2, lanes).
     """
@@ -155,7 +176,6 @@ def free_step(op, u, v, a, ahead, dt, beta, gamma):
     a[:] = 0.0
     multiply_add(op.stiffness, ahead, a)
     multiply_add(op.damping, v, a)
-    solve(op, a)
 
 
 @njit(cache=True, fastmath={'contract'}, nogil=True)
@@ -175,24 +195,97 @@ def shift(x, bays, by):
         for k in range(lanes):
             to = k if by > 0 else lanes - 1 - k
             x[i, to] = x[i, to + by] if 0 <= to + by < bays else 0.0
-    x[0, 0] = x[1, 0] = x[0, bays] = x[1, bays] = 0.0
+
+
+@njit(cache=True, nogil=True)
+def move(u, v, a, forces, bays, by):
+    """Move the window and all that it carries by `by` bays."""
+    shift(forces, bays, by)
+    for x in (u, v, a):
+        shift(x, bays, by)
+        x[0, 0] = x[1, 0] = x[0, bays] = x[1, bays] = 0.0
+
+
+@njit(cache=True, nogil=True)
+def eliminate(ends, bays, below, diagonal, above):
+    """Block elimination of the left nodes 1 .. bays - 1 of a window.
+
+    ends (lanes, 4, 4): what remains of each bay's A once its interior is eliminated, its left node
+    before the next bay's.  Fills below, diagonal, above of :class:`Operator`.
+    """
+    below[:] = 0.0
+    diagonal[:] = 0.0
+    above[:] = 0.0
+    for b in range(1, bays):
+        before, here = ends[b - 1], ends[b]
+        m = np.zeros((2, 2))
+        for i in range(2):
+            for j in range(2):
+                for k in range(2):
+                    below[b, i, j] += before[k, 2 + i] * diagonal[b - 1, k, j]
+        for i in range(2):
+            for j in range(2):
+                m[i, j] = here[i, j] + before[2 + i, 2 + j]
+                if b > 1:
+                    for k in range(2):
+                        m[i, j] -= below[b, i, k] * before[k, 2 + j]
+        determinant = m[0, 0] * m[1, 1] - m[0, 1] * m[1, 0]
+        diagonal[b, 0, 0], diagonal[b, 1, 1] = m[1, 1] / determinant, m[0, 0] / determinant
+        diagonal[b, 0, 1], diagonal[b, 1, 0] = -m[0, 1] / determinant, -m[1, 0] / determinant
+        if b < bays - 1:
+            for i in range(2):
+                for j in range(2):
+                    for k in range(2):
+                        above[b, i, j] += diagonal[b, i, k] * here[k, 2 + j]
+
+
+@njit(cache=True, nogil=True)
+def inverse_columns(op, lane, first, out):
+    """Columns of A^-1 for the forces in lane, lane + 1 and the left node after, cut to `out`.
+
+    out (2 nb + 2, nb, reach) from lane `first` on.
+    """
+    nb, reach = out.shape[1], out.shape[2]
+    x = np.zeros_like(op.pivot)
+    for k in range(out.shape[0]):
+        x[:] = 0.0
+        x[k % nb, lane + k // nb] = 1.0
+        solve(op, x)
+        for i in range(nb):
+            for m in range(reach):
+                out[k, i, m] = x[i, first + m]
 
 
 @njit(cache=True, fastmath={'contract'}, nogil=True)
-def run(op, columns, table, constants, home_bay, offsets, position, irregularity,
+def free_deflections(u, a, lane, dofs, shape, factor, free):
+    """Deflection (wheels,) at the wheels by the prediction u and the accelerations a."""
+    nb = u.shape[0] - 2
+    for w in range(free.size):
+        free[w] = 0.0
+        for k in range(dofs.shape[1]):
+            d = dofs[w, k]
+            i, b = (d, lane[w]) if d < nb else (d - nb, lane[w] + 1)
+            free[w] += shape[w, k] * (u[i, b] + factor * a[i, b])
+
+
+@njit(cache=True, fastmath={'contract'}, nogil=True)
+def run(window, forces, constants, stay, home_bay, offsets, position, irregularity,
         u, v, a, wheels, force, deflection, displacement, acceleration, iterations):
     """Time steps to position[n] of the reference point with irregularity[n, w] at the wheels.
 
     The window's lane 0 is bay home_bay[0] - home_bay[1] of the track, home_bay[0] being the bay of
-    the reference point and kept up to date.  u, v, a (nb + 2, lanes) and wheels (5, wheels) are
-    the state; force, deflection, displacement, acceleration (n, wheels) and iterations (n,) are
-    filled.  Returns the steps done and FINISHED, CONTACT_FAILED or DIVERGED.
+    the reference point and kept up to date; the window holds as it is while that bay lies in
+    stay[0] .. stay[1].  u, v, a (nb + 2, lanes), wheels (rows, wheels) and forces (2, lanes), the
+    supports' deviations from linear, are the state; force, deflection, displacement, acceleration
+    (n, wheels) and iterations (n, 2), of the contacts and of the supports, are filled.  Returns
+    the steps done and one of the states above.
     """
+    op, columns, table, kind, supports = window
     dt, beta, gamma = constants.time_step, constants.beta, constants.gamma
     nb = u.shape[0] - 2
     count = offsets.size
     reach = columns.value.shape[3]
-    width = table.dofs.shape[1]
+    width = table.dofs.shape[2]
     shape = np.zeros((count, width))
     dofs = np.zeros((count, width), np.int64)
     lane = np.zeros(count, np.int64)
@@ -204,43 +297,51 @@ def run(op, columns, table, constants, home_bay, offsets, position, irregularity
     now = np.zeros(count)
     ahead = np.zeros_like(u)
     flat = columns.value.reshape((count, 2 * nb + 2, nb * reach))
+    nonlinear = supports.row.size > 0
+    enough = constants.tolerance * constants.static_load
+    before = np.zeros_like(wheels)
+    scratch = np.zeros((6, u.shape[1]))
 
     for n in range(position.size):
         bay = math.floor((position[n] - table.start) / table.spacing)
         if bay != home_bay[0]:
-            by = bay - home_bay[0]
-            shift(u, op.bays, by)
-            shift(v, op.bays, by)
-            shift(a, op.bays, by)
+            if not stay[0] <= bay <= stay[1]:
+                return n, MOVED
+            move(u, v, a, forces, op.bays, bay - home_bay[0])
             home_bay[0] = bay
-        free_step(op, u, v, a, ahead, dt, beta, gamma)
+        predict(op, u, v, a, ahead, dt, beta, gamma)
+        if nonlinear:
+            add_forces(supports, forces, a)
+        solve(op, a)
 
         # Where the wheels press, the free deflection there, and what a force there would do.
         for w in range(count):
-            number, interval, s = locate(table, position[n] + offsets[w])
-            lane[w] = number - home_bay[0] + home_bay[1]
+            x = position[n] + offsets[w]
+            number = math.floor((x - table.start) / table.spacing)
+            inside = min(max(x - table.start - number * table.spacing, 0.0), table.spacing)
+            lane[w] = int(number) - home_bay[0] + home_bay[1]
             # A wheel a whole number of bays from the reference point may be rounded out of its
             # two lanes, to a place that is the end of one of them.
             if lane[w] < columns.home[w]:
-                lane[w], interval, s = columns.home[w], 0, 0.0
+                lane[w], inside = columns.home[w], 0.0
             elif lane[w] > columns.home[w] + 1:
-                lane[w], interval, s = columns.home[w] + 1, table.element.size - 1, 1.0
-            flexibility[w] = cubic(table.flexibility[interval], s)
-            element = table.element[interval]
-            free[w] = 0.0
+                lane[w], inside = columns.home[w] + 1, table.spacing
+            t = kind[lane[w]]
+            interval, s = interval_at(table.breaks[t], table.guess[t], table.spacing, inside)
+            flexibility[w] = cubic(table.flexibility[t, interval], s)
+            element = table.element[t, interval]
             first = (lane[w] - columns.home[w]) * nb
             for k in range(width):
-                d = table.dofs[element, k]
+                d = table.dofs[t, element, k]
                 dofs[w, k] = d
-                shape[w, k] = cubic(table.coefficients[interval, k], s)
-                i, b = (d, lane[w]) if d < nb else (d - nb, lane[w] + 1)
-                free[w] += shape[w, k] * (u[i, b] + beta * dt * dt * a[i, b])
+                shape[w, k] = cubic(table.coefficients[t, interval, k], s)
                 if k == 0:
                     for m in range(nb * reach):
                         column[w, m] = shape[w, k] * flat[w, first + d, m]
                 else:
                     for m in range(nb * reach):
                         column[w, m] += shape[w, k] * flat[w, first + d, m]
+        free_deflections(u, a, lane, dofs, shape, beta * dt * dt, free)
         for j in range(count):
             for i in range(count):
                 compliance[i, j] = flexibility[i] if i == j else 0.0
@@ -251,10 +352,35 @@ def run(op, columns, table, constants, home_bay, offsets, position, irregularity
                     if 0 <= b < reach:
                         compliance[i, j] += (beta * dt * dt * shape[i, k]
                                              * column[j, r * reach + b])
+        if nonlinear:
+            before[:] = wheels
+            fetch_next(u, nb)
+            predict_supports(supports, u, v, scratch)
         used = contact_step(free, compliance, irregularity[n], wheels, constants, now, work)
         if used < 0:
             return n, CONTACT_FAILED
-        iterations[n] = used
+        iterations[n, 0] = used
+        # The forces of pads and ballast, corrected until they fit the motion that they cause.
+        while nonlinear:
+            iterations[n, 1] += 1
+            left = update_forces(supports, op.bays, a, columns.first, column, now, dt, beta, gamma,
+                                 enough, forces, scratch)
+            if left <= enough:
+                break
+            if iterations[n, 1] == MOST_ITERATIONS or not math.isfinite(left):
+                return n, SUPPORT_FAILED
+            ahead[:] = 0.0
+            add_forces(supports, scratch[4:6], ahead)
+            solve(op, ahead)
+            for i in range(nb + 2):
+                for b in range(a.shape[1]):
+                    a[i, b] += ahead[i, b]
+            free_deflections(u, a, lane, dofs, shape, beta * dt * dt, free)
+            wheels[:] = before
+            used = contact_step(free, compliance, irregularity[n], wheels, constants, now, work)
+            if used < 0:
+                return n, CONTACT_FAILED
+            iterations[n, 0] += used
 
         for w in range(count):
             if now[w] != 0.0:
@@ -291,7 +417,8 @@ def impulse_response(op, dof, lane, first, rows, dt, beta, gamma, out):
             a[dof, lane] = 1.0
             solve(op, a)
         else:
-            free_step(op, u, v, a, ahead, dt, beta, gamma)
+            predict(op, u, v, a, ahead, dt, beta, gamma)
+            solve(op, a)
         correct(u, v, a, dt, beta, gamma)
         for k in range(rows.size):
             for b in range(out.shape[1]):

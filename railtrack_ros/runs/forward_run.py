@@ -6,9 +6,10 @@ Both rails, chunk after chunk, so that a run of any length needs little memory.
 from __future__ import annotations
 
 import csv
+import dataclasses
 import math
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -20,8 +21,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from railtrack_ros.dynamics.forward import ForwardResult, StepFailure
 from railtrack_ros.errors import InputError
-from railtrack_ros.irregularity.profile import Profile, read_columns, reason
-from railtrack_ros.track.bay import Bay
+from railtrack_ros.irregularity.profile import read_columns, reason
+from railtrack_ros.irregularity.surface import Part, Surface
+from railtrack_ros.track.bay import Bay, Mesh, make_bay
+from railtrack_ros.track.description import Track
+from railtrack_ros.track.row import BayRow
 from railtrack_ros.vehicle.description import Vehicle
 
 Array = NDArray[np.float64]
@@ -137,24 +141,15 @@ class Solver(Protocol):
         """Step on."""
 
 
-def make_solver(name: str, bay: Bay, vehicle: Vehicle, offsets: list[float], time_step: float,
-                start: float, margin: int | None = None) -> Solver:
-    """One of SOLVERS for the wheels of one rail; margin is of the full model alone."""
-    if name == 'newmark':
-        from railtrack_ros.dynamics.newmark import FullModel
+@dataclass(frozen=True)
+class NewmarkOptions:
+    """What only the full model takes, see `dynamics.newmark.FullModel`."""
 
-        return FullModel(bay, vehicle, offsets, time_step, start, margin=margin)
-    if margin is not None:
-        raise InputError(f'margin: the solver {name} has no window of bays, only newmark has')
-    if name == 'irf':
-        from railtrack_ros.dynamics.irf import IrfForward
-
-        return IrfForward(bay, vehicle, offsets, time_step, start)
-    if name == 'recursive':
-        from railtrack_ros.dynamics.recursive import RecursiveForward
-
-        return RecursiveForward(bay, vehicle, offsets, time_step, start)
-    raise InputError(f'solver {name!r}: expected one of {", ".join(SOLVERS)}')
+    margin: int | None = None
+    beta: float = 0.25
+    gamma: float = 0.5
+    tolerance: float = 1e-10
+    iteration: str = 'newton'
 
 
 @dataclass(frozen=True)
@@ -166,8 +161,31 @@ class ForwardSettings:
     start: float
     time_step: float
     distance: float | None = None  # the whole speed history unless given
-    irregularity: Mapping[str, Profile] = field(default_factory=dict)  # by rail; smooth without
-    margin: int | None = None
+    irregularity: tuple[Part, ...] = ()  # smooth without
+    newmark: NewmarkOptions = field(default_factory=NewmarkOptions)
+
+
+def make_solver(settings: ForwardSettings, track: Bay | BayRow, vehicle: Vehicle,
+                offsets: list[float]) -> Solver:
+    """The solver of the settings for the wheels of one rail."""
+    dt, start = settings.time_step, settings.start
+    if settings.solver == 'newmark':
+        from railtrack_ros.dynamics.newmark import FullModel
+
+        return FullModel(track, vehicle, offsets, dt, start,
+                         **dataclasses.asdict(settings.newmark))
+    for given in dataclasses.fields(NewmarkOptions):
+        if getattr(settings.newmark, given.name) != given.default:
+            raise InputError(f'{given.name}: the solver {settings.solver} does not have it, '
+                             'only newmark has')
+    assert isinstance(track, Bay)
+    if settings.solver == 'irf':
+        from railtrack_ros.dynamics.irf import IrfForward
+
+        return IrfForward(track, vehicle, offsets, dt, start)
+    from railtrack_ros.dynamics.recursive import RecursiveForward
+
+    return RecursiveForward(track, vehicle, offsets, dt, start)
 
 
 @dataclass(frozen=True)
@@ -185,16 +203,21 @@ class Chunk:
 class ForwardRun:
     """A run, ready to be iterated over once; raises InputError for one that cannot be.
 
-    steps is the number of time steps of the whole run, seconds the computing time so far.
+    steps is the number of time steps of the whole run, seconds the computing time so far.  The
+    full model takes any track, the others one that is periodic and linear.
     """
 
-    def __init__(self, bay: Bay, vehicle: Vehicle, settings: ForwardSettings) -> None:
-        self.bay, self.vehicle, self.settings = bay, vehicle, settings
+    def __init__(self, track: Track, mesh: Mesh | None, vehicle: Vehicle,
+                 settings: ForwardSettings) -> None:
+        if settings.solver not in SOLVERS:
+            raise InputError(f'solver {settings.solver!r}: expected one of {", ".join(SOLVERS)}')
+        model = (BayRow(track, mesh) if settings.solver == 'newmark' else make_bay(track, mesh))
+        self.bay = model.bay if isinstance(model, BayRow) else model
+        self.track, self.vehicle, self.settings = track, vehicle, settings
         dt = settings.time_step
         self._solvers = {
-            rail: make_solver(settings.solver, bay, vehicle,
-                              [box.offset for box in vehicle.on_rail(rail)], dt,
-                              settings.start, settings.margin)
+            rail: make_solver(settings, model, vehicle,
+                              [box.offset for box in vehicle.on_rail(rail)])
             for rail in vehicle.rails
         }
         end = (settings.speed.duration if settings.distance is None
@@ -204,16 +227,30 @@ class ForwardRun:
             raise InputError(f'time step {dt:g} s: longer than the whole run of {end:g} s')
         self.seconds = 0.0
         low, high = settings.speed.extent(end)
-        for box in vehicle.axle_boxes:
-            if box.rail in settings.irregularity:
-                settings.irregularity[box.rail].require(
-                    settings.start + low + box.offset, settings.start + high + box.offset)
+        self._surface = Surface(settings.irregularity, vehicle, settings.start,
+                                settings.start + low, settings.start + high)
 
     @property
     def iterations_per_step(self) -> float:
-        """Mean Newton iterations of a time step and rail."""
+        """Mean iterations of the contacts in a time step on one rail."""
+        return self._per_step('iterations')
+
+    @property
+    def support_iterations_per_step(self) -> float:
+        """Mean iterations of non-linear supports in a time step on one rail."""
+        return self._per_step('support_iterations')
+
+    @property
+    def most_iterations(self) -> tuple[int, int]:
+        """Most iterations of contacts and of supports in a time step; the full model counts."""
+        most, supports = (max(getattr(solver, name, 0) for solver in self._solvers.values())
+                          for name in ('most_iterations', 'most_support_iterations'))
+        return most, supports
+
+    def _per_step(self, name: str) -> float:
         steps = sum(solver.steps for solver in self._solvers.values())
-        return sum(solver.iterations for solver in self._solvers.values()) / max(1, steps)
+        total = sum(getattr(solver, name, 0) for solver in self._solvers.values())
+        return total / max(1, steps)
 
     def __iter__(self) -> Iterator[Chunk]:
         """Yield the chunks; a StepFailure comes after the steps that worked have been yielded."""
@@ -235,10 +272,8 @@ class ForwardRun:
                         raise failure
 
     def _advance(self, rail: str, position: Array) -> tuple[ForwardResult, StepFailure | None]:
-        offsets = np.array([box.offset for box in self.vehicle.on_rail(rail)])
-        places = position[:, None] + offsets
-        profile = self.settings.irregularity.get(rail)
-        irregularity = np.zeros_like(places) if profile is None else profile.at(places)
+        irregularity = np.column_stack([self._surface.at(box, position)
+                                        for box in self.vehicle.on_rail(rail)])
         try:
             return self._solvers[rail].run(position, irregularity), None
         except StepFailure as failure:

@@ -145,9 +145,20 @@ class _Element:
     intervals: int
 
 
-def make_bay(track: Track, mesh: Mesh | None = None) -> Bay:
-    """Mesh and matrices of one bay.  Raises InputError where the mesh does not fit the support."""
+def make_bay(track: Track, mesh: Mesh | None = None, tangent: bool = False) -> Bay:
+    """Mesh and matrices of one bay.
+
+    `tangent` takes the stiffness of a non-linear support at its static preload; without it such a
+    support is refused, as linear theory would be wrong about it.
+
+    Raises
+    ------
+    InputError
+        A mesh that does not fit the support, a track that is not periodic, or not linear.
+    """
     track.require_periodic('a mesh of one bay for the whole track')
+    if not tangent:
+        track.require_linear('a linear model')
     mesh = mesh or Mesh()
     support = track.support
     nodes, pad = _node_positions(support, mesh)

@@ -57,6 +57,28 @@ class Rail:
 
 
 @dataclass(frozen=True)
+class PadNonlinearity:
+    """A progressive rail pad under preload; pad_stiffness is its tangent at the preload.
+
+    The whole pad force at the compression d [m] is k1 d + k3 d^3 for d > 0 and nothing below.
+    """
+
+    preload: float  # static force of the fastening on the pad, N
+    unloaded_stiffness: float  # k1, tangent of the pad without preload, N/m
+
+
+@dataclass(frozen=True)
+class BallastLiftOff:
+    """Ballast that pushes but does not pull: the sleeper lifts off.
+
+    Either it is pressed down at rest, or it hangs above a gap.
+    """
+
+    preload: float = 0.0  # static force of a sleeper's share of the dead weight on the ballast, N
+    gap: float = 0.0  # void under a hanging sleeper at rest, m
+
+
+@dataclass(frozen=True)
 class Support:
     """A rail pad on a sleeper on ballast; the sleeper is rigid and moves vertically.
 
@@ -77,6 +99,13 @@ class Support:
     sleeper_mass: float  # Ms per rail (half a monobloc sleeper), kg
     ballast_stiffness: float  # Kb per rail and sleeper, N/m
     ballast_damping: float  # Cb per rail and sleeper, N s/m
+    pad_nonlinearity: PadNonlinearity | None = None
+    ballast_lift_off: BallastLiftOff | None = None
+
+    @property
+    def linear(self) -> bool:
+        """Whether forces are proportional to displacements."""
+        return self.pad_nonlinearity is None and self.ballast_lift_off is None
 
 
 @dataclass(frozen=True)
@@ -117,6 +146,18 @@ class Track:
         support = dict(self.sleepers).get(number, support)
         return Track(self.name, rail, support, self.description)
 
+    def require_linear(self, purpose: str) -> None:
+        """Raise InputError where `purpose` takes linear supports alone and one is not."""
+        supports = [('support.', self.support),
+                    *(('stretches: support.', s.support) for s in self.stretches),
+                    *((f'sleepers: {index}: ', s) for index, s in self.sleepers)]
+        for place, support in supports:
+            for key in NONLINEARITIES:
+                if getattr(support, key) is not None:
+                    raise InputError(
+                        f'track {self.name}: {place}{key}: {purpose} cannot take it, only the '
+                        'full model can (simulate --solver newmark); remove the key')
+
     def require_periodic(self, purpose: str) -> None:
         """Raise InputError where `purpose` needs all bays alike and they are not."""
         if not self.periodic:
@@ -144,6 +185,8 @@ SUPPORT_RANGES = {
     'ballast_damping': NOT_NEGATIVE,
 }
 
+NONLINEARITIES = ('pad_nonlinearity', 'ballast_lift_off')
+
 
 def load_track(name_or_path: str | Path) -> Track:
     """Read a shipped track by its name, or a track file by its path.
@@ -161,13 +204,14 @@ def load_track(name_or_path: str | Path) -> Track:
     rail.expect(RAIL_RANGES)
 
     support = file.section('support')
-    support.expect(('kind', *SUPPORT_RANGES), not_yet=('pad_nonlinearity',))
+    support.expect(('kind', *SUPPORT_RANGES), NONLINEARITIES)
     values = support.numbers(SUPPORT_RANGES)
     _check_pad_length(support, values['pad_length'], values['spacing'])
     track = Track(
         name=path.stem,
         rail=Rail(**rail.numbers(RAIL_RANGES)),
-        support=Support(kind=support.choice('kind', SUPPORT_KINDS), **values),
+        support=_nonlinear(support, Support(
+            support.choice('kind', SUPPORT_KINDS), **values)),  # type: ignore[arg-type]
         description=file.text('description', default=''),
     )
     if 'stretches' in file:
@@ -214,7 +258,7 @@ def _sleepers(file: Section, track: Track) -> tuple[tuple[int, Support], ...]:
     """Read `sleepers`: the index of each and the support values that differ."""
     found: dict[int, Support] = {}
     for item in file.sections('sleepers'):
-        item.expect(('index',), ('kind', *CHANGED_SUPPORT_RANGES))
+        item.expect(('index',), ('kind', *CHANGED_SUPPORT_RANGES, *NONLINEARITIES))
         index = item.number('index', ANY)
         if index != round(index):
             raise item.error('index', f'expected a whole number, got {index:g}')
@@ -229,15 +273,40 @@ def _changed_support(section: Section, support: Support, beside: tuple[str, ...]
     """Return `support` with the values of a section; `beside` are its other keys."""
     if 'spacing' in section:
         raise section.error('spacing', 'the sleeper spacing is the same along the whole track')
-    section.expect(beside, ('kind', *CHANGED_SUPPORT_RANGES))
+    section.expect(beside, ('kind', *CHANGED_SUPPORT_RANGES, *NONLINEARITIES))
     kind = section.choice('kind', SUPPORT_KINDS) if 'kind' in section else support.kind
-    changed = dataclasses.replace(support, kind=kind, **{
-        key: section.number(key, allowed)
-        for key, allowed in CHANGED_SUPPORT_RANGES.items() if key in section})
+    values = {key: section.number(key, allowed)
+              for key, allowed in CHANGED_SUPPORT_RANGES.items() if key in section}
+    changed = dataclasses.replace(support, kind=kind, **values)  # type: ignore[arg-type]
     _check_pad_length(section, changed.pad_length, changed.spacing)
     if changed.pad_stiffness == 0.0 and changed.ballast_stiffness == 0.0:
         raise section.error('pad_stiffness', 'a sleeper needs a pad or ballast to hold it')
-    return changed
+    return _nonlinear(section, changed)
+
+
+def _nonlinear(section: Section, support: Support) -> Support:
+    """Return `support` with its non-linear forces; without stiffness there is none."""
+    pad, ballast = support.pad_nonlinearity, support.ballast_lift_off
+    if 'pad_nonlinearity' in section:
+        given = section.section('pad_nonlinearity')
+        ranges = {'preload': POSITIVE,
+                  'unloaded_stiffness': Range(above=0.0, maximum=support.pad_stiffness)}
+        given.expect(ranges)
+        pad = PadNonlinearity(**given.numbers(ranges))
+    elif pad and 0.0 < support.pad_stiffness < pad.unloaded_stiffness:
+        raise section.error('pad_stiffness', 'is less than pad_nonlinearity.unloaded_stiffness, '
+                            f'{pad.unloaded_stiffness:g} N/m; give pad_nonlinearity here too')
+    if 'ballast_lift_off' in section:
+        given = section.section('ballast_lift_off')
+        given.expect((), ('preload', 'gap'))
+        values = {key: given.number(key, NOT_NEGATIVE) for key in given.values}
+        if len(values) != 1:
+            raise given.error(None, 'expected preload (a sleeper that lies on the ballast) or gap '
+                              '(one that hangs above it)')
+        ballast = BallastLiftOff(**values)
+    return dataclasses.replace(
+        support, pad_nonlinearity=pad if support.pad_stiffness else None,
+        ballast_lift_off=ballast if support.ballast_stiffness else None)
 
 
 def _check_pad_length(section: Section, pad_length: float, spacing: float) -> None:

@@ -109,6 +109,7 @@ class ExactBay:
 
     def __init__(self, track: Track, frequencies: ArrayLike) -> None:
         track.require_periodic('the exact infinite track')
+        track.require_linear('the exact infinite track')
         omega = 2.0 * math.pi * np.atleast_1d(np.asarray(frequencies, dtype=float))
         rail, support = track.rail, track.support
         if not support.pad_length < support.spacing:
