@@ -30,13 +30,18 @@ def _fingerprint() -> str:
     return digest.hexdigest()[:16]
 
 
-def cache_folder() -> Path:
-    """Where compiled loops are kept; NUMBA_CACHE_DIR or XDG_CACHE_HOME move it."""
+def cache_base() -> Path:
+    """The user's cache folder of the program; NUMBA_CACHE_DIR or XDG_CACHE_HOME move it."""
     base = os.environ.get('NUMBA_CACHE_DIR')
     if base is None:
         cache = os.environ.get('XDG_CACHE_HOME') or os.path.expanduser('~/.cache')
         base = os.path.join(cache, 'railtrack_ros')
-    return Path(base) / f'compiled-{_fingerprint()}'
+    return Path(base)
+
+
+def cache_folder() -> Path:
+    """Where compiled loops are kept."""
+    return cache_base() / f'compiled-{_fingerprint()}'
 
 
 def _prepare() -> Path:

@@ -199,6 +199,18 @@ def test_stream_goes_on_after_being_saved_and_restored(fresh):
     assert same(whole, join(begin + feed.run(estimator, first=51 * BLOCK)))
 
 
+def test_state_alone_is_small_and_continues_to_the_last_bit(fresh):
+    feed = Feed(1.0)
+    whole = join(feed.run(fresh()))
+    estimator, other = fresh(), fresh()
+    begin = feed.run(estimator, last=51 * BLOCK)
+    state = estimator.state()
+    assert len(state) < 50_000
+    other.restore(state)
+    assert same(whole, join(begin + feed.run(other, first=51 * BLOCK)))
+    assert other.health.blocks == estimator.health.blocks + 49
+
+
 def test_start_is_nan_for_a_tenth_of_a_second_and_two_wavelengths(fresh):
     found = join(Feed(0.5).run(fresh()))
     for q in QUANTITIES:

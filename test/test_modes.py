@@ -5,8 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from railtrack_ros.dynamics.modes import make_track_modes
-from railtrack_ros.dynamics.recursive import RecursiveResponse, recursion
+from railtrack_ros.dynamics.modes import make_track_modes, ring_length, slowest_wave
+from railtrack_ros.dynamics.recursion import step_of
+from railtrack_ros.dynamics.recursive import RecursiveResponse
 from railtrack_ros.errors import InputError
 from railtrack_ros.track.bay import Mesh, make_bay
 from railtrack_ros.track.description import load_track
@@ -143,9 +144,9 @@ def test_saved_state_continues_to_the_last_bit(bay):
 
 
 def test_slow_poles_keep_their_digits_in_the_recursion():
-    step = recursion(np.array([-1e-3 + 0j, -50.0 + 3j]), 1e-6, 'linear')
-    np.testing.assert_allclose(step.p1_re, 0.5e-6, rtol=1e-4)
-    np.testing.assert_allclose(step.p0_re, 0.5e-6, rtol=1e-4)
+    step = step_of(np.array([-1e-3 + 0j, -50.0 + 3j]), 1e-6, 'linear')
+    np.testing.assert_allclose(step.p1.real, 0.5e-6, rtol=1e-4)
+    np.testing.assert_allclose(step.p0.real, 0.5e-6, rtol=1e-4)
 
 
 def test_impossible_time_step_and_ring_are_refused(bay):
@@ -156,3 +157,53 @@ def test_impossible_time_step_and_ring_are_refused(bay):
         RecursiveResponse(modes, 1e-4, 1, hold='cubic')
     with pytest.raises(InputError, match='ring'):
         make_track_modes(bay, 1)
+
+
+def test_two_oscillators_stand_for_the_cut_off_poles_up_to_half_the_cut_off(bay):
+    whole, cut = make_track_modes(bay, BAYS, 1e9), make_track_modes(bay, BAYS, 6000.0)
+    hertz = [10.0, 1000.0, 2000.0, 3000.0]
+    for x in (0.0, 0.05, 0.13, 0.3):
+        error = np.abs(cut.receptance(hertz, x, x) / whole.receptance(hertz, x, x) - 1.0)
+        assert (error < [1e-9, 1e-4, 1e-3, 1e-2]).all()
+
+
+@pytest.mark.parametrize('name', ['blanco_table_3_1', 'blanco_table_2_1', 'mainline_soft_pads'])
+def test_ring_is_as_long_as_its_waves_need(name):
+    """The closure of the chosen ring against a ring of 501 bays, over 20 to 3000 Hz."""
+    bay = make_bay(load_track(name), Mesh(6))
+    length = ring_length(bay, [0.0])
+    f = np.arange(20.0, 3000.0, 20.0)
+    endless = make_track_modes(bay, 501).receptance(f, 0.3, 0.3)
+
+    def error(bays):
+        ratio = make_track_modes(bay, bays).receptance(f, 0.3, 0.3) / endless
+        return np.sqrt(np.mean(np.abs(ratio - 1.0) ** 2))
+
+    assert error(length) < 1.5e-3
+    assert error(length // 2) > 5e-3
+    assert ring_length(bay, [0.0, -6.0]) in range(
+        length + round(6.0 / bay.spacing), length + round(6.0 / bay.spacing) + 3)
+
+
+def test_waves_decay_between_bays_as_the_infinite_track_says(bay):
+    """Receptance from bay to bay far from the load, where the slowest wave is left alone."""
+    modes = make_track_modes(bay, 201, 1e9)
+    for hertz in (700.0, 1000.0):
+        far = [abs(modes.receptance(hertz, 0.2 + 0.6 * m, 0.2)[0]) for m in (30, 40)]
+        assert (far[1] / far[0]) ** 0.1 == pytest.approx(slowest_wave(bay, hertz)[0], rel=1e-3)
+
+
+def test_corrected_hold_follows_a_wave_at_a_tenth_of_the_sample_rate(bay):
+    """A standing sine force: linear hold loses sinc^2, the corrected one almost nothing."""
+    modes, step, hertz = make_track_modes(bay, BAYS), 4e-5, 2500.0
+    exact = modes.receptance(hertz, 0.2, 0.2)[0]
+    t = np.arange(4000) * step
+    drive = np.exp(2j * np.pi * hertz * t)
+    x = np.full((t.size, 1), 0.2)
+    error = {}
+    for hold in ('linear', 'corrected'):
+        parts = [RecursiveResponse(modes, step, 1, hold).deflection(x, part[:, None])[:, 0]
+                 for part in (drive.real, drive.imag)]
+        error[hold] = abs((parts[0] + 1j * parts[1])[-1] / drive[-1] / exact - 1.0)
+    assert error['linear'] > 0.03
+    assert error['corrected'] < 0.01

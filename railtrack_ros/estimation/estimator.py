@@ -2,7 +2,7 @@
 
 For every wheel, with the measured acceleration a of its axle box (z up, compression positive):
 
-    f = F0 + M a                                   contact force, rigid unsprung wheel
+    f = F0 + M a                                   contact force; suspension, modes: see `wheel`
     w = response to -f of all wheels on the rail   rail deflection        (thesis 4.4-4.6)
     delta = (f / K)^(1/p)                          indentation            (thesis 2.19)
     r = high-pass of (integral integral a) + delta - w                    irregularity
@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import copy
 import math
+import pickle
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -22,14 +23,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from railtrack_ros.dynamics.modes import make_track_modes, ring_length
+from railtrack_ros.dynamics.modes import TrackModes, make_track_modes, ring_length
 from railtrack_ros.dynamics.recursive import RecursiveResponse
 from railtrack_ros.errors import InputError
 from railtrack_ros.estimation.highpass import ChannelState, filter_block
 from railtrack_ros.estimation.odometer import Odometer, Run
 from railtrack_ros.estimation.settings import EstimatorSettings
 from railtrack_ros.estimation.timeline import SECOND, Place, SampleClock
-from railtrack_ros.estimation.wheel import contact
+from railtrack_ros.estimation.wheel import WheelInverse
 from railtrack_ros.track.bay import Bay, make_bay
 from railtrack_ros.track.description import Track
 from railtrack_ros.vehicle.description import Vehicle
@@ -95,14 +96,39 @@ class Health:
     position: float = float('nan')
 
 
-class _Rail:
-    """The wheels of one rail: they share its deflection."""
+# What the estimator itself carries from block to block.
+_STREAM = ('_clock', '_odometer', '_running', '_health', '_notes', '_faulty')
 
-    def __init__(self, names: tuple[str, ...], offsets: Array) -> None:
+
+class _Rail:
+    """The wheels of one rail, or of both where they stand side by side."""
+
+    def __init__(self, names: tuple[str, ...], offsets: Array, lines: int) -> None:
         self.names = names
         self.offsets = offsets
+        self.lines = lines
         self.response: RecursiveResponse | None = None
+        self.wheels: WheelInverse | None = None
         self.channels = ChannelState.stopped(len(names))
+
+    @staticmethod
+    def of(vehicle: Vehicle) -> list[_Rail]:
+        """The rails of a vehicle; names run along the first, then along the other."""
+        found: dict[tuple[float, ...], list[str]] = {}
+        for rail in vehicle.rails:
+            boxes = vehicle.on_rail(rail)
+            found.setdefault(tuple(box.offset for box in boxes), []).extend(
+                box.name for box in boxes)
+        return [_Rail(tuple(names), np.array(offsets), len(names) // len(offsets))
+                for offsets, names in found.items()]
+
+    def begin(self, modes: TrackModes, vehicle: Vehicle, step: float) -> None:
+        """Prepare for a sample period [s]."""
+        if self.response is None or self.response.time_step != step:
+            self.response = RecursiveResponse(
+                modes, step, self.offsets.size, 'corrected', self.lines)
+        self.wheels = WheelInverse(vehicle, step, len(self.names))
+        self.channels = ChannelState.stopped(len(self.names))
 
 
 def _ring(bay: Bay, vehicle: Vehicle, settings: EstimatorSettings) -> int:
@@ -122,7 +148,7 @@ def _ring(bay: Bay, vehicle: Vehicle, settings: EstimatorSettings) -> int:
 class Estimator:
     """Turns blocks of axle-box acceleration into forces, deflections and irregularities.
 
-    An estimator can be pickled between blocks and goes on from there.
+    Between blocks it can be pickled whole, or its `state` alone, and goes on from there.
     """
 
     def __init__(
@@ -139,17 +165,12 @@ class Estimator:
         vehicle.require_undamped_contact('the estimator')
         self.vehicle = vehicle
         self.settings = settings = settings or EstimatorSettings()
+        WheelInverse(vehicle, 1e-4, 1)  # refuses a wheel that cannot be inverted
         bay = make_bay(track, settings.mesh)
         self._modes = make_track_modes(
             bay, _ring(bay, vehicle, settings), settings.maximum_frequency
         )
-        self._rails = [
-            _Rail(
-                tuple(box.name for box in vehicle.on_rail(rail)),
-                np.array([box.offset for box in vehicle.on_rail(rail)]),
-            )
-            for rail in vehicle.rails
-        ]
+        self._rails = _Rail.of(vehicle)
         self._names = {box.name for box in vehicle.axle_boxes}
         self._clock = SampleClock(settings.gap_tolerance)
         self._odometer = Odometer(
@@ -200,6 +221,32 @@ class Estimator:
         notes = list(self._notes)
         self._notes.clear()
         return notes
+
+    # The stream's memory
+
+    def state(self) -> bytes:
+        """Return all that the stream remembers, some kilobytes and the track model not among it."""
+        own = {name: getattr(self, name) for name in _STREAM}
+        rails = [
+            (rail.channels, rail.response and (rail.response.time_step, rail.response.state()),
+             rail.wheels and rail.wheels.state())
+            for rail in self._rails
+        ]  # fmt: skip
+        return pickle.dumps((own, rails))
+
+    def restore(self, state: bytes) -> None:
+        """Go on from a state (trusted: it is a pickle) of the same track, vehicle and settings."""
+        own, rails = pickle.loads(state)
+        for name, value in own.items():
+            setattr(self, name, value)
+        for rail, (channels, response, wheels) in zip(self._rails, rails, strict=True):
+            if response:
+                rail.begin(self._modes, self.vehicle, response[0])
+                assert rail.response is not None
+                assert rail.wheels is not None
+                rail.response.restore(response[1])
+                rail.wheels.restore(wheels)
+            rail.channels = channels
 
     # Blocks
 
@@ -304,12 +351,10 @@ class Estimator:
     def _start(self, run: Run, step: float) -> None:
         """Begin a stretch: all wheels stand on the statically deflected rail."""
         for rail in self._rails:
-            wheels = len(rail.names)
-            if rail.response is None or rail.response.time_step != step:
-                rail.response = RecursiveResponse(self._modes, step, wheels)
-            load = np.full(wheels, -self.vehicle.wheel.static_load)
+            rail.begin(self._modes, self.vehicle, step)
+            assert rail.response is not None
+            load = np.full((rail.lines, rail.offsets.size), -self.vehicle.wheel.static_load)
             rail.response.settle(run.place[0] + rail.offsets, load)
-            rail.channels = ChannelState.stopped(wheels)
         self._health.restarts += 1
         self._running = True
 
@@ -318,9 +363,12 @@ class Estimator:
         block: EstimateBlock,
     ) -> None:  # fmt: skip
         acceleration = np.column_stack([measured[name] for name in rail.names])
-        force, indentation, alive = contact(self.vehicle, acceleration)
         assert rail.response is not None
-        deflection = rail.response.deflection(run.place[:, None] + rail.offsets, -force)
+        assert rail.wheels is not None
+        force, indentation, alive = rail.wheels(acceleration)
+        shape = (run.place.size, rail.lines, rail.offsets.size)
+        deflection = rail.response.deflection(
+            run.place[:, None] + rail.offsets, -force.reshape(shape)).reshape(force.shape)
         valid, irregularity = filter_block(
             rail.channels, acceleration, indentation - deflection, alive, run.speed, step,
             self.settings.cut_on_wavelength, self.settings.minimum_speed,

@@ -140,7 +140,8 @@ class EstimatorSettings(_Checked):
     )
     bays_in_ring: int = _setting(
         0,
-        'sleeper bays of the periodic track; 0: as many as the vehicle needs, at least 61',
+        'sleeper bays of the periodic track; 0: as many as the vehicle and the decay of the track '
+        'need',
         '',
         Range(minimum=0, maximum=501),
     )
