@@ -1,0 +1,1 @@
+"""ROS 2 nodes: thin shells that convert, call the core, and publish."""
