@@ -11,10 +11,10 @@ PYTHONS := $(PYTHON) python3.12 python3.11 python3.13 python3.10 python3
 USABLE := import ensurepip, sys, venv; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint bench colcon clean distclean
+.PHONY: help setup demo test lint bench bench-live docs colcon clean distclean
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-10s %s\n", $$1, $$2}' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-10s %s\n", $$1, $$2}' Makefile
 	@echo 'PYTHON=/path/to/python chooses the Python of .venv, 3.10 to 3.13 (distclean to change it)'
 
 setup: $(STAMP) ## install everything into .venv
@@ -31,6 +31,13 @@ lint: $(STAMP) ## check style and types
 
 bench: $(STAMP) ## measure the speed figures of the README on this machine
 	$(BIN)/railtrack benchmark
+
+bench-live: $(STAMP) ## measure the live node for half an hour, into docs/live_node.md
+	NUMBA_NUM_THREADS=1 $(BIN)/python benchmarks/live.py
+
+docs: $(STAMP) ## write the reference pages and build the documentation into build/docs
+	$(BIN)/python docs/generate.py
+	$(BIN)/mkdocs build --strict
 
 colcon: $(STAMP) ## build with colcon into install/
 	PATH="$(CURDIR)/$(BIN):$$PATH" AMENT_PREFIX_PATH="$(CURDIR)/$(VENV)" \

@@ -54,9 +54,15 @@ setup(
         'matplotlib>=3.6',
         'plotly>=5.4',
         'tqdm>=4.66',
+        'rich>=12.0',
         'setuptools',  # colcon counts on finding it here
     ],
-    extras_require={'test': ['pytest']},
+    # import: HDF5, MAT of version 7.3 and TDMS; nothing else needs these.
+    extras_require={
+        'import': ['h5py>=3.8', 'npTDMS>=1.7'],
+        'parquet': ['pyarrow>=14'],  # tables of indicators
+        'test': ['pytest'],
+    },
     zip_safe=False,
     entry_points={
         'console_scripts': [

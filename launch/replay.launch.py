@@ -12,7 +12,7 @@ from railtrack_ros.node import launching
 from railtrack_ros.node.launching import Argument
 
 PLAYER = (
-    Argument('bag', 'the recording: an MCAP file or a rosbag2 folder'),
+    Argument('bag', 'the recording: an MCAP file or a rosbag2 folder', None),
     Argument('rate', 'times as fast as it was recorded', '1'),
 )
 
@@ -23,7 +23,7 @@ def nodes(context):
     topics = [given[name] if given[name].startswith('/') else f'/{given[name]}'
               for name in ('acceleration_topic', 'speed_topic')]
     player = ExecuteProcess(
-        cmd=[sys.executable, '-m', 'railtrack_ros.cli.main', 'play', given.get('bag', ''),
+        cmd=[sys.executable, '-m', 'railtrack_ros.cli.main', 'play', given['bag'],
              '--rate', given['rate'], '--topics', *topics],
         output='screen',
         on_exit=[Shutdown(reason='the recording is over')],

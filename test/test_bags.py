@@ -351,6 +351,20 @@ def split(folder):
     return parts
 
 
+def test_cut_sqlite_file_is_read_as_far_as_it_goes(tmp_path):
+    rosbags_run(tmp_path / 'run')
+    (file,) = (tmp_path / 'run').glob('*.db3')
+    data = file.read_bytes()
+    path = tmp_path / 'cut.db3'
+    path.write_bytes(data[: int(0.6 * len(data))])
+    found, notes = content(path)
+    assert 0.4 * BLOCKS < len(found) < 2 * BLOCKS
+    assert found == expected_content()[: len(found)]
+    assert any('cut off' in note and ' s, what came after is lost' in note for note in notes)
+    file.write_bytes(path.read_bytes())
+    assert content(tmp_path / 'run')[0] == found
+
+
 def test_split_recording_is_read_in_order(tmp_path):
     folder = tmp_path / 'run'
     parts = split(folder)

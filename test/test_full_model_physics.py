@@ -253,9 +253,6 @@ def test_every_solver_takes_flexible_wheelsets(solver):
 
 
 def test_the_estimator_refuses_what_it_cannot_take():
-    damped = dataclasses.replace(WHEEL, contact=dataclasses.replace(WHEEL.contact, damping=1e4))
-    with pytest.raises(InputError, match='contact.damping: the estimator does not take it'):
-        Estimator(TABLE_3_1, damped)
     with pytest.raises(InputError, match='support.pad_nonlinearity: a linear model'):
         Estimator(changed(TABLE_3_1, pad_nonlinearity=PAD), WHEEL)
 

@@ -1,12 +1,23 @@
 import json
+import sys
 
+import h5py
 import numpy as np
 import pytest
 import scipy.integrate
 import scipy.io
+import scipy.signal
+from nptdms import ChannelObject, TdmsWriter
 
 from railtrack_ros.bags.codec import SECOND, START_NS
-from railtrack_ros.bags.importers import ImportSettings, import_measurement, parse_channels
+from railtrack_ros.bags.import_settings import (
+    Calibration,
+    HighPass,
+    ImportSettings,
+    parse_calibration,
+    parse_channels,
+)
+from railtrack_ros.bags.importers import import_measurement
 from railtrack_ros.bags.reader import (
     AccelerationBlock,
     SpeedSample,
@@ -64,6 +75,33 @@ def as_mat(path):
     return path
 
 
+def as_mat73(path):
+    """Write what MATLAB writes with -v7.3: HDF5 behind a header, arrays transposed, a struct."""
+    with h5py.File(path, 'w', userblock_size=512) as file:
+        for name, values in COLUMNS.items():
+            file[name if name != 'left' else 'run/left'] = values[None, :]
+        file['#refs#/a'] = np.zeros(3)
+        file['both'] = np.stack([LEFT, RIGHT])          # of N rows and two columns
+    with path.open('r+b') as file:
+        file.write(b'MATLAB 7.3 MAT-file'.ljust(116) + b'\0' * 8 + b'\0\2IM')
+    return path
+
+
+def as_hdf5(path):
+    with h5py.File(path, 'w') as file:
+        for name, values in COLUMNS.items():
+            file.create_dataset(f'run 1/{name}', data=values, compression='gzip', chunks=(1000,))
+        file['run 2/comment'] = 'text'
+    return path
+
+
+def as_tdms(path, **properties):
+    with TdmsWriter(path) as file:
+        file.write_segment([ChannelObject('run', name, values, properties)
+                            for name, values in COLUMNS.items()])
+    return path
+
+
 def as_array(path):
     return npz(path, time=TIME, both=np.stack([LEFT, RIGHT], axis=1), v=SPEED)
 
@@ -78,6 +116,9 @@ FORMS = {
     'npz': lambda p: npz(p / 'x.npz', **COLUMNS),
     'npz of rows': lambda p: npz(p / 'x.npz', **{k: v[None, :] for k, v in COLUMNS.items()}),
     'mat': lambda p: as_mat(p / 'x.mat'),
+    'mat 7.3': lambda p: as_mat73(p / 'x.mat'),
+    'hdf5': lambda p: as_hdf5(p / 'x.h5'),
+    'tdms': lambda p: as_tdms(p / 'x.tdms'),
 }
 
 
@@ -307,8 +348,14 @@ def test_unusable_columns_are_named_with_the_row(tmp_path):
         ('x.npz', b'', 'is not an NPZ file'),
         ('x.mat', b'nonsense' * 40, 'is not a MAT file'),
         ('x.mat', b'', 'is not a MAT file'),
-        ('x.mat', b'MATLAB 7.3 MAT-file'.ljust(124) + b'\0\2IM', "version 7.3.*save it with '-v7'"),
-        ('x.h5', b'', "unknown kind of file '.h5'"),
+        ('x.mat', b'MATLAB 7.3 MAT-file'.ljust(124) + b'\0\2IM', 'is not a MAT file'),
+        ('x.mat', b'M'.ljust(512) + b'\x89HDF\r\n\x1a\n cut', 'is not an undamaged MAT file'),
+        ('x.h5', b'', 'is not an undamaged HDF5 file'),
+        ('x.hdf5', b'\x89HDF\r\n\x1a\n' + b'\0' * 3000, 'is not an undamaged HDF5 file'),
+        ('x.tdms', b'', 'x.tdms'),
+        ('x.tdms', b'TDSm' + b'\xff' * 200, "no column 'left'; there are: none"),
+        ('x.tdms', b'nonsense' * 40, 'is not an undamaged TDMS file'),
+        ('x.xlsx', b'', "unknown kind of file '.xlsx'"),
         ('x', b'', 'unknown kind of file'),
     ],
 )
@@ -351,7 +398,6 @@ def test_column_names_may_hold_an_equals_sign():
 @pytest.mark.parametrize(
     ('options', 'said'),
     [
-        ({'speed': 1.0}, 'give one of --sample-rate, --time-column, --position-column'),
         ({'speed': 1.0, 'sample_rate': 1.0, 'time_column': 't'}, 'give one of --sample-rate'),
         ({'sample_rate': 1.0}, 'give one of --speed-column, --speed'),
         ({'sample_rate': 1.0, 'speed': 1.0, 'speed_column': 'v'}, 'give one of --speed-column'),
@@ -435,3 +481,148 @@ def test_measured_run_is_taken_as_it_is(reference_data, tmp_path, name, rate, st
     checked = survey(tmp_path / 'out.mcap')
     assert checked.obstacles == []
     assert checked.distance == pytest.approx(position[-1] - position[0], abs=0.01)
+
+
+# Groups, and what is done to sensors' numbers
+
+
+def test_arrays_in_groups_have_paths_and_short_names_where_these_are_unmistakable(tmp_path):
+    with h5py.File(tmp_path / 'x.h5', 'w') as file:
+        file['first/a'], file['second/a'], file['second/b'] = LEFT, RIGHT, SPEED
+    _, found = imported(tmp_path, tmp_path / 'x.h5', settings('second/a=right,b'))
+    np.testing.assert_array_equal(found.channels['right'], RIGHT)
+    np.testing.assert_allclose(found.channels['b'], SPEED, rtol=1e-6)
+    with pytest.raises(InputError, match="no column 'a'.*first/a, second/a"):
+        imported(tmp_path, tmp_path / 'x.h5', settings('a'))
+
+
+def test_columns_of_a_mat_7_3_array_are_those_that_matlab_shows(tmp_path):
+    _, found = imported(tmp_path, as_mat73(tmp_path / 'x.mat'),
+                        settings('both[0]=left,both[1]=right'))
+    np.testing.assert_array_equal(found.channels['left'], LEFT)
+    np.testing.assert_array_equal(found.channels['right'], RIGHT)
+
+
+def test_tdms_may_tell_its_own_sample_rate(tmp_path):
+    path = as_tdms(tmp_path / 'x.tdms', wf_increment=1.0 / RATE)
+    summary, _ = imported(tmp_path, path, settings(speed=15.0))
+    assert summary.sample_rate == pytest.approx(RATE)
+    with pytest.raises(InputError, match='does not tell its sample rate; give one of'):
+        imported(tmp_path, as_tdms(tmp_path / 'y.tdms'), settings(speed=15.0))
+    with pytest.raises(InputError, match='does not tell its sample rate'):
+        imported(tmp_path, csv(tmp_path / 'y.csv', COLUMNS), settings(speed=15.0))
+
+
+def test_tdms_that_was_cut_off_is_read_as_far_as_it_goes_and_that_is_said(tmp_path):
+    path = as_tdms(tmp_path / 'x.tdms', wf_increment=1.0 / RATE)
+    path.write_bytes(path.read_bytes()[:-3 * 8 * N // 2])
+    summary, found = imported(tmp_path, path, settings('left', speed=15.0))
+    np.testing.assert_array_equal(found.channels['left'], LEFT[:found.time_ns.size])
+    assert any('cut off' in note for note in summary.notes)
+
+
+def test_libraries_are_asked_for_only_where_their_files_are_read(tmp_path, monkeypatch):
+    as_hdf5(tmp_path / 'x.h5')
+    (tmp_path / 'x.tdms').touch()
+    monkeypatch.setitem(sys.modules, 'h5py', None)
+    monkeypatch.setitem(sys.modules, 'nptdms', None)
+    imported(tmp_path, csv(tmp_path / 'x.csv', COLUMNS), settings())
+    for path, package in ((tmp_path / 'x.h5', 'h5py'), (tmp_path / 'x.tdms', 'npTDMS')):
+        with pytest.raises(InputError, match=f'takes the package {package}'):
+            imported(tmp_path, path, settings())
+
+
+@pytest.mark.parametrize('base', ['time', 'position'])
+def test_sensitivity_offset_and_polarity_are_those_of_each_channel(tmp_path, base):
+    volts = {'left': 0.01 * LEFT / 9.80665 + 2.5, 'right': -0.1 * RIGHT}
+    columns = {**volts, 'x': 15.0 * TIME, 'v': np.full(N, 15.0)}
+    how = ImportSettings(
+        parse_channels('left=a,right=b'), 'g',
+        calibration=parse_calibration(['a', 'b'], 'a=0.01,b=0.1', 'a=2.5', 'b'),
+        **({'sample_rate': RATE, 'speed': 15.0} if base == 'time'
+           else {'position_column': 'x', 'speed_column': 'v'}))
+    _, found = imported(tmp_path, csv(tmp_path / 'x.csv', columns), how)
+    np.testing.assert_allclose(found.channels['a'], LEFT, atol=1e-5)
+    np.testing.assert_allclose(found.channels['b'], 9.80665 * RIGHT, rtol=1e-6, atol=1e-5)
+    with open_bag(tmp_path / 'out.mcap') as bag:
+        assert bag.facts['calibration a'] == 'sensitivity 0.01, offset 2.5'
+        assert bag.facts['calibration b'].endswith('inverted')
+
+
+def test_one_number_calibrates_all_channels():
+    found = parse_calibration(['a', 'b'], '0.5', None, 'all')
+    assert found == {name: Calibration(0.5, 0.0, True) for name in ('a', 'b')}
+    assert parse_calibration(['a', 'b'], None, None, None) == {}
+
+
+@pytest.mark.parametrize(('options', 'said'), [
+    (('x=1', None, None), "--sensitivity: no channel 'x'; they are: a, b"),
+    (('a=one', None, None), '--sensitivity a=one: expected NUMBER'),
+    (('0', None, None), 'expected a number but 0'),
+    ((None, 'nan', None), 'expected a finite number'),
+    ((None, None, 'c'), "--invert: no channel 'c'"),
+])
+def test_calibration_that_cannot_be_is_refused(options, said):
+    with pytest.raises(InputError, match=said):
+        parse_calibration(['a', 'b'], *options)
+
+
+@pytest.mark.parametrize('order', [1, 2])
+def test_an_undone_high_pass_gives_level_and_phase_back(tmp_path, order):
+    """A sine at the corner, where the sensor lost 3 dB and shifted the phase."""
+    time = np.arange(40 * N) / RATE
+    wave = np.sin(2.0 * np.pi * 2.0 * time) + 0.3 * np.sin(2.0 * np.pi * 9.0 * time)
+    poles = scipy.signal.butter(order, 2.0, 'high', fs=RATE, output='sos')
+    sensed = scipy.signal.sosfilt(poles, wave)
+    assert np.abs(sensed - wave)[-N:].max() > 0.5
+    path = npz(tmp_path / 'x.npz', a=sensed)
+    how = settings('a', sample_rate=RATE, speed=15.0,
+                   undo_high_pass=HighPass.parse(f'2:{order}:0.02'))
+    _, found = imported(tmp_path, path, how)
+    late = slice(-8 * N, None)
+    np.testing.assert_allclose(found.channels['a'][late], wave[late], atol=0.03)
+
+
+@pytest.mark.parametrize(('text', 'said'), [
+    ('fast', 'expected HZ'), ('1:2:3:4', 'expected HZ'), ('0.5:1:0.5', 'HZ above LOWEST'),
+    ('1:9', 'order from 1 to 4'), ('nan', 'HZ above LOWEST'),
+])
+def test_high_passes_that_cannot_be_are_refused(text, said):
+    with pytest.raises(InputError, match=said):
+        HighPass.parse(text)
+
+
+def test_decimation_keeps_what_is_below_the_new_band_and_folds_nothing_into_it(tmp_path):
+    keep, fold = np.sin(2.0 * np.pi * 100.0 * TIME), np.sin(2.0 * np.pi * 430.0 * TIME)
+    path = npz(tmp_path / 'x.npz', a=keep + fold)
+    summary, found = imported(
+        tmp_path, path, settings('a', sample_rate=RATE, speed=15.0, decimate=4))
+    assert summary.sample_rate == pytest.approx(RATE / 4)
+    inner = slice(50, -50)
+    np.testing.assert_allclose(found.channels['a'][inner], keep[::4][inner], atol=2e-4)
+    np.testing.assert_allclose(found.time(START_NS), TIME[::4], atol=2e-9)
+
+
+def test_decimation_spreads_a_missing_sample_no_further_than_its_weight(tmp_path):
+    values = np.sin(2.0 * np.pi * 20.0 * TIME)
+    values[2000] = np.nan
+    path = npz(tmp_path / 'x.npz', a=values)
+    _, found = imported(tmp_path, path, settings('a', sample_rate=RATE, speed=15.0, decimate=4))
+    missing = np.flatnonzero(np.isnan(found.channels['a']))
+    assert missing.tolist() == [499, 500, 501]
+
+
+def test_the_command_takes_sensors_as_they_are(tmp_path, capsys):
+    path = as_tdms(tmp_path / 'x.tdms', wf_increment=1.0 / RATE)
+    assert main(['import', str(path), '--channels', 'left,right', '--acceleration-unit', 'g',
+                 '--sensitivity', 'left=0.1,right=-0.2', '--offset', '0.5', '--invert', 'left',
+                 '--undo-high-pass', '0.5', '--decimate', '2', '--speed-column', 'v',
+                 str(tmp_path / 'out.mcap'), '--json']) == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert summary['sample_rate_hz'] == pytest.approx(RATE / 2)
+    with open_bag(tmp_path / 'out.mcap') as bag:
+        assert bag.facts['decimated by'] == '2'
+        assert bag.facts['undone high-pass'] == '0.5:1:0.05'
+    assert main(['import', str(path), '--channels', 'left,right', '--speed', '15',
+                 '--undo-high-pass', '900', str(tmp_path / 'out.mcap')]) == 2
+    assert 'above a tenth of the sample rate' in capsys.readouterr().err

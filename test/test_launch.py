@@ -114,6 +114,13 @@ def test_an_argument_that_was_given_beats_the_parameter_file():
     assert node.options['remappings'] == [('speed', '/gnss/speed')]
 
 
+def test_a_replay_needs_a_recording():
+    declared, _ = start('replay.launch.py', bag='run.mcap')
+    assert declared['bag']['default_value'] is None
+    assert all(options['default_value'] is not None for name, options in declared.items()
+               if name != 'bag')
+
+
 def test_an_argument_left_empty_leaves_the_parameter_file_alone():
     _, [node] = start('live.launch.py')
     assert list(node.options['parameters'][1]) == ['use_sim_time']

@@ -87,16 +87,18 @@ def test_cut_off_poles_leave_their_static_share(bay):
 
 def test_settled_rail_stays_where_it_is(bay):
     modes = make_track_modes(bay, BAYS)
-    response = RecursiveResponse(modes, 1e-4, 2)
     place, force = np.array([0.11, -2.39]), np.array([-1e5, -8e4])
-    response.settle(place, force)
-    w = response.deflection(np.tile(place, (500, 1)), np.tile(force, (500, 1)))
+    response = RecursiveResponse(modes, 1e-4, place)
+    response.settle(0.0, force)
+    w = response.deflection(np.zeros(500), np.tile(force, (500, 1)))
     np.testing.assert_allclose(w, np.tile(w[0], (500, 1)), rtol=1e-10)
     k = ring_matrices(bay, BAYS)[0]
     shapes = np.stack([ring_shape(bay, BAYS, x) for x in place])
     static = shapes @ np.linalg.solve(k, shapes.T @ force)
     static += bay.flexibility(bay.locate(place)[1]) * force
-    np.testing.assert_allclose(w[0], static, rtol=1e-9)
+    # The shapes of TIM4 are the cubics that the loops take; others come close to theirs.
+    exact = bay.mesh.local_system == 'static' and bay.track.support.kind == 'concentrated'
+    np.testing.assert_allclose(w[0], static, rtol=1e-9 if exact else 2e-8)
 
 
 @pytest.mark.parametrize('hold', ['linear', 'trapezoidal'])
@@ -109,8 +111,8 @@ def test_recursion_converges_to_the_continuous_response_with_the_square_of_the_s
     for step in (8e-5, 4e-5):
         t = np.arange(round(0.3 / step)) * step
         drive = np.exp(2j * np.pi * hertz * t)
-        x = np.full((t.size, 1), 0.2)
-        parts = [RecursiveResponse(modes, step, 1, hold).deflection(x, part[:, None])[:, 0]
+        x = np.full(t.size, 0.2)
+        parts = [RecursiveResponse(modes, step, [0.0], hold).deflection(x, part[:, None])[:, 0]
                  for part in (drive.real, drive.imag)]
         found = (parts[0] + 1j * parts[1])[-1] / drive[-1]
         errors.append(abs(found / exact - 1.0))
@@ -123,22 +125,21 @@ def test_results_do_not_depend_on_the_block_size(bay):
     rng = np.random.default_rng(5)
     t = np.arange(1200) / 20000.0
     lead = 3.0 + 20.0 * t - 200.0 * t**2 / 2.0 * 2.0  # slows down and turns back
-    x = lead[:, None] + np.array([0.0, -2.5])
-    f = -1e5 + 1e4 * rng.standard_normal(x.shape)
-    whole = RecursiveResponse(modes, 5e-5, 2).deflection(x, f)
-    piecewise = RecursiveResponse(modes, 5e-5, 2)
+    f = -1e5 + 1e4 * rng.standard_normal((lead.size, 2))
+    whole = RecursiveResponse(modes, 5e-5, [0.0, -2.5]).deflection(lead, f)
+    piecewise = RecursiveResponse(modes, 5e-5, [0.0, -2.5])
     cuts = [0, 1, 2, 100, 777, 1200]
-    parts = [piecewise.deflection(x[a:b], f[a:b]) for a, b in zip(cuts, cuts[1:], strict=False)]
+    parts = [piecewise.deflection(lead[a:b], f[a:b]) for a, b in zip(cuts, cuts[1:], strict=False)]
     assert np.array_equal(np.concatenate(parts), whole)
 
 
 def test_saved_state_continues_to_the_last_bit(bay):
     modes = make_track_modes(bay, BAYS)
-    x = np.linspace(0.0, 2.0, 800)[:, None]
-    f = np.full_like(x, -1e5)
-    first = RecursiveResponse(modes, 5e-5, 1)
+    x = np.linspace(0.0, 2.0, 800)
+    f = np.full((800, 1), -1e5)
+    first = RecursiveResponse(modes, 5e-5, [0.0])
     first.deflection(x[:400], f[:400])
-    second = RecursiveResponse(modes, 5e-5, 1)
+    second = RecursiveResponse(modes, 5e-5, [0.0])
     second.restore(first.state())
     assert np.array_equal(second.deflection(x[400:], f[400:]), first.deflection(x[400:], f[400:]))
 
@@ -152,9 +153,9 @@ def test_slow_poles_keep_their_digits_in_the_recursion():
 def test_impossible_time_step_and_ring_are_refused(bay):
     modes = make_track_modes(bay, BAYS)
     with pytest.raises(InputError, match='time step'):
-        RecursiveResponse(modes, 0.0, 1)
+        RecursiveResponse(modes, 0.0, [0.0])
     with pytest.raises(InputError, match='hold'):
-        RecursiveResponse(modes, 1e-4, 1, hold='cubic')
+        RecursiveResponse(modes, 1e-4, [0.0], hold='cubic')
     with pytest.raises(InputError, match='ring'):
         make_track_modes(bay, 1)
 
@@ -199,10 +200,10 @@ def test_corrected_hold_follows_a_wave_at_a_tenth_of_the_sample_rate(bay):
     exact = modes.receptance(hertz, 0.2, 0.2)[0]
     t = np.arange(4000) * step
     drive = np.exp(2j * np.pi * hertz * t)
-    x = np.full((t.size, 1), 0.2)
+    x = np.full(t.size, 0.2)
     error = {}
     for hold in ('linear', 'corrected'):
-        parts = [RecursiveResponse(modes, step, 1, hold).deflection(x, part[:, None])[:, 0]
+        parts = [RecursiveResponse(modes, step, [0.0], hold).deflection(x, part[:, None])[:, 0]
                  for part in (drive.real, drive.imag)]
         error[hold] = abs((parts[0] + 1j * parts[1])[-1] / drive[-1] / exact - 1.0)
     assert error['linear'] > 0.03

@@ -4,22 +4,29 @@ import array
 import random
 import struct
 import time
-from contextlib import contextmanager
 
 import numpy as np
 import pytest
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, WrenchStamped
 from nav_msgs.msg import Odometry
+from node_bench import (
+    BOX,
+    RATE,
+    RELIABLE,
+    SAMPLES,
+    START_NS,
+    TRACK,
+    VEHICLE,
+    Bench,
+    context_in,
+    speed_stamp,
+)
 from rcl_interfaces.msg import ParameterDescriptor
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
-from rclpy.signals import SignalHandlerOptions
-from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 
 from railtrack_ros.bags import codec
@@ -29,17 +36,8 @@ from railtrack_ros.errors import InputError
 from railtrack_ros.estimation.estimator import Estimator
 from railtrack_ros.estimation.settings import EstimatorSettings
 from railtrack_ros.node.processes import Domain
-from railtrack_ros.node.track_estimator import TrackEstimator
 from railtrack_ros.track.description import load_track
 from railtrack_ros.vehicle.description import load_vehicle
-
-TRACK = VEHICLE = 'blanco_table_3_1'
-BOX = 'axle1_left'
-RATE = 12800.0
-SAMPLES = 128
-START_NS = 1_000 * SECOND
-DEADLINE = 30.0  # s
-RELIABLE = QoSProfile(depth=1000)
 
 
 @pytest.fixture(scope='module', autouse=True)
@@ -48,97 +46,6 @@ def domain():
     found = Domain()
     yield found.number
     found.close()
-
-
-@contextmanager
-def context_in(domain):
-    context = rclpy.Context()
-    rclpy.init(args=[], context=context, domain_id=domain,
-               signal_handler_options=SignalHandlerOptions.NO)
-    try:
-        yield context
-    finally:
-        context.try_shutdown()
-
-
-def speed_stamp(index):
-    """Return the time of the speed sent with block `index`: 20 ms before its beginning."""
-    return START_NS + (index - 2) * SECOND // 100
-
-
-class Bench:
-    """A track estimator, and a client that feeds it and listens to it."""
-
-    def __init__(self, context, **parameters):
-        overrides = {'track': TRACK, 'vehicle': VEHICLE, **parameters}
-        self.estimator = TrackEstimator(
-            context=context,
-            parameter_overrides=[Parameter(name, value=value) for name, value in overrides.items()])
-        self.client = rclpy.create_node('client', context=context)
-        self.executor = SingleThreadedExecutor(context=context)
-        self.executor.add_node(self.estimator)
-        self.executor.add_node(self.client)
-        self.acceleration = self.client.create_publisher(
-            PointCloud2, 'axle_box_acceleration', RELIABLE)
-        speed_type = LIVE.get(parameters.get('speed_type', codec.TWIST))
-        self.speed = self.client.create_publisher(speed_type, 'speed', RELIABLE)
-        self.received = {}
-        self.blocks = 0
-
-    def start(self):
-        assert self.estimator.trigger_configure() == TransitionCallbackReturn.SUCCESS
-        assert self.estimator.trigger_activate() == TransitionCallbackReturn.SUCCESS
-        self.spin_until(lambda: self.acceleration.get_subscription_count()
-                        and self.speed.get_subscription_count())
-        for name in ('contact_force', 'rail_deflection', 'irregularity'):
-            self.listen(PointCloud2, f'/track_estimator/{name}')
-        return self
-
-    def listen(self, kind, topic, qos=RELIABLE):
-        messages = self.received.setdefault(topic, [])
-        subscription = self.client.create_subscription(kind, topic, messages.append, qos)
-        self.spin_until(lambda: subscription.get_publisher_count() > 0)
-        return messages
-
-    def spin_until(self, condition):
-        end = time.monotonic() + DEADLINE
-        while not condition():
-            assert time.monotonic() < end, 'nothing came of it in time'
-            self.executor.spin_once(timeout_sec=0.05)
-
-    def spin(self, seconds):
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            self.executor.spin_once(timeout_sec=0.02)
-
-    def close(self):
-        self.estimator.destroy_node()
-        self.client.destroy_node()
-
-    # Feeding
-
-    def send_speed(self, stamp_ns, speed):
-        self.speed.publish(codec.encode_speed(stamp_ns, speed, 'base_link', LIVE))
-
-    def block(self, index, values=None):
-        """Return the message of block number `index`."""
-        t = np.arange(SAMPLES) / RATE
-        if values is None:
-            values = 5.0 * np.sin(2 * np.pi * 400.0 * (t + index * SAMPLES / RATE))
-        stamp_ns = START_NS + index * SECOND // 100
-        return codec.encode_waveform(
-            WaveformBlock(stamp_ns, t, {BOX: np.asarray(values, np.float32)}, None, 'base_link'),
-            LIVE)
-
-    def run(self, blocks, speed=30.0, values=None):
-        """Send so many further blocks with the speed that belongs to them."""
-        for index in range(self.blocks, self.blocks + blocks):
-            self.send_speed(speed_stamp(index), speed)
-            self.acceleration.publish(self.block(index, values))
-        self.blocks += blocks
-
-    def forces(self):
-        return [decode_waveform(m) for m in self.received['/track_estimator/contact_force']]
 
 
 @pytest.fixture
@@ -287,25 +194,32 @@ def adversarial(bench, count):
     return cases
 
 
-def test_hundreds_of_malformed_messages_do_it_no_harm(bench):
+def test_two_thousand_malformed_messages_do_it_no_harm(bench):
     bench.start()
     logged = []
     bench.estimator._guard._warn = logged.append
     bench.run(30)
     bench.spin_until(lambda: len(bench.forces()) == 30)
     healthy = bench.estimator._estimator.health.blocks
-    cases = adversarial(bench, 300)
-    for begin in range(0, len(cases), 20):
-        for data in cases[begin:begin + 20]:
+    cases = adversarial(bench, 2000)
+    inputs = bench.estimator._blocks[0], bench.estimator._speed
+    before = [source.received for source in inputs]
+    for begin in range(0, len(cases), 40):
+        part = cases[begin:begin + 40]
+        for data in part:
             bench.acceleration.publish(data)
             bench.speed.publish(data)
-        bench.spin(0.05)
+        # Without bytes there is no message, which is the first case.
+        sent = begin + len(part) - 1
+        bench.spin_until(lambda sent=sent: all(
+            source.received >= count + sent
+            for source, count in zip(inputs, before, strict=True)))
     topic = '/axle_box_acceleration'
     refused = bench.estimator._guard.refused
     bench.spin_until(lambda: refused[topic] + bench.estimator._estimator.health.blocks
                      + bench.estimator._estimator.health.dropped_blocks - healthy >= len(cases) - 1)
-    assert refused[topic] > 200
-    assert refused['/speed'] > 10  # many bytes make a speed of some sort
+    assert refused[topic] > 1000
+    assert refused['/speed'] > 50  # many bytes make a speed of some sort
     # Told at once, by name, and then only from time to time.
     assert any(line.startswith(f'{topic}: message skipped') for line in logged)
     assert len(logged) < 10

@@ -1,6 +1,7 @@
 """The parts of the nodes that need no ROS graph: guard, diagnostics, parameters, playback."""
 
 import dataclasses
+import itertools
 import time
 
 import pytest
@@ -15,11 +16,13 @@ from railtrack_ros.estimation.estimator import Health
 from railtrack_ros.node import diagnostics, parameter_file
 from railtrack_ros.node.diagnostics import ERROR, OK, WARN, Picture
 from railtrack_ros.node.guard import QUIET_PERIOD, Guard, Voice
-from railtrack_ros.node.latency import Latency
+from railtrack_ros.node.latency import Latency, LatencyFigures
+from railtrack_ros.node.limits import Limits
 from railtrack_ros.node.parameters import setting
 from railtrack_ros.node.playback import ahead, restamped
 from railtrack_ros.node.processes import ros_parameters
 from railtrack_ros.node.track_estimator import SETTINGS
+from railtrack_ros.node.watch import Signal, Stamps
 from railtrack_ros.parameters import EXPONENT_NUMBER
 from railtrack_ros.paths import config_directory
 from railtrack_ros.vehicle.description import load_vehicle
@@ -101,7 +104,7 @@ def test_latency_keeps_percentiles_and_the_worst_since_the_start():
 # Diagnostics
 
 
-ACCELERATION, SPEED = '/axle_box_acceleration', '/speed'
+ACCELERATION, SPEED, GNSS = '/axle_box_acceleration', '/speed', '/gnss'
 COACH = load_vehicle('measurement_coach')
 
 
@@ -111,19 +114,19 @@ def picture(**changes):
         sample_rate=25600.0, bad_samples={box.name: 0 for box in COACH.axle_boxes},
         missing_blocks={box.name: 0 for box in COACH.axle_boxes})
     own = {key: changes.pop(key) for key in list(changes) if hasattr(health, key)}
-    return Picture(dataclasses.replace(health, **own), ACCELERATION, SPEED,
-                   {ACCELERATION: 1, SPEED: 1}, **changes)
+    return Picture(dataclasses.replace(health, **own), ACCELERATION, SPEED, GNSS,
+                   {ACCELERATION: 1, SPEED: 1, GNSS: 'gnss' in str(changes)}, **changes)
 
 
-def diagnosed(now, before=None):
+def diagnosed(now, before=None, limits=None):
     before = before or picture(blocks=0, speed_messages=0)
-    found = diagnostics.statuses(now, before, 1.0, COACH, 'node', 0.05)
+    found = diagnostics.statuses(now, before, 1.0, COACH, 'node', limits or Limits())
     return {status.name.removeprefix('node: '): status for status in found}
 
 
 def test_all_is_well():
     assert {status.level for status in diagnosed(picture()).values()} == {OK}
-    assert len(diagnosed(picture())) == 3 + len(COACH.axle_boxes)
+    assert len(diagnosed(picture())) == 5 + len(COACH.axle_boxes)
 
 
 @pytest.mark.parametrize(('part', 'level', 'words', 'changes'), [
@@ -131,7 +134,23 @@ def test_all_is_well():
     ('acceleration', ERROR, 'no waveforms: field t', {
         'refused': {ACCELERATION: 3}, 'last_refusal': {ACCELERATION: 'field t'}}),
     ('acceleration', WARN, '4 blocks were lost', {'lost': 4}),
-    ('acceleration', WARN, '2 blocks are repeated', {'dropped_blocks': 2}),
+    ('acceleration', WARN, '2 blocks are repeated', {'stamps': Stamps(duplicates=2)}),
+    ('acceleration', WARN, '3 blocks came out of order', {'stamps': Stamps(out_of_order=3)}),
+    ('acceleration', ERROR, 'overload: 7 blocks were dropped', {'shed': 7}),
+    ('acceleration', WARN, 'less than 30000 Hz', {'limits': {'sample_rate_limit': 30e3}}),
+    ('clock', WARN, 'jumped by -3 s', {'stamps': Stamps(jumps=1, jump=-3.0)}),
+    ('clock', WARN, 'set the position', {'clock_resets': 1}),
+    ('clock', WARN, '100 s behind the clock', {'stamps': Stamps(offset=100.0)}),
+    ('clock', WARN, '8 s ahead of the clock', {'stamps': Stamps(offset=-8.0)}),
+    ('speed', WARN, 'publish the speed more often', {'limits': {'speed_rate_limit': 200.0}}),
+    ('speed', WARN, 'slips or slides', {'speed_change': 9.0}),
+    ('speed', WARN, 'differs by 30 %', {'gnss_difference': 0.3, 'gnss_speed': 26.0}),
+    ('model', WARN, '70 % of the acceleration of axle2_left unexplained', {
+        'residuals': {'axle2_left': {'100-400 Hz': 0.7}, 'axle2_right': {'100-400 Hz': 0.1}}}),
+    ('model', OK, 'at most 10 %', {'residuals': {'axle2_right': {'100-400 Hz': 0.1}}}),
+    ('load', WARN, '95 % of a processor core', {'load': 0.95}),
+    ('gnss', WARN, 'the receiver has no fix', {
+        'refused': {GNSS: 1}, 'last_refusal': {GNSS: 'status: the receiver has no fix'}}),
     ('acceleration', WARN, '1 gaps', {'gaps': 1}),
     ('speed', ERROR, 'nothing is estimated', {'speed_state': 'silent'}),
     ('speed', ERROR, 'no speed', {'speed_messages': 0}),
@@ -144,11 +163,58 @@ def test_all_is_well():
     ('axle box axle1_left', WARN, 'some samples', {'bad_samples': {'axle1_left': 1}}),
     ('axle box axle2_left', WARN, 'axle1_left on the same rail is dead', {'dead': ('axle1_left',)}),
     ('axle box axle1_right', OK, 'measuring', {'dead': ('axle1_left',)}),
+    ('axle box axle1_left', ERROR, 'stuck', {'signals': {'axle1_left': Signal(256, 0, 0.0, 0.8)}}),
+    ('axle box axle1_left', WARN, 'saturated', {'signals': {'axle1_left': Signal(256, 9, 0.0)}}),
+    ('axle box axle1_left', ERROR, 'turn the sensor over', {'reversed': {'axle1_left': -0.8}}),
+    ('axle box axle1_left', WARN, 'set input_includes_gravity', {
+        'signals': {'axle1_left': Signal(256, 0, 9.7)}}),
+    ('axle box axle1_left', WARN, 'upside down', {
+        'signals': {'axle1_left': Signal(256, 0, -9.9)}, 'includes_gravity': True}),
+    ('axle box axle1_left', WARN, 'does not report gravity', {
+        'signals': {'axle1_left': Signal(256, 0, 0.1)}, 'includes_gravity': True}),
+    ('axle box axle1_left', WARN, 'check its zero', {
+        'signals': {'axle1_left': Signal(256, 0, 60.0)}}),
+    ('axle box axle1_left', OK, 'measuring', {
+        'signals': {'axle1_left': Signal(256, 0, 9.8)}, 'includes_gravity': True}),
 ])
 def test_a_fault_is_named_with_what_to_do(part, level, words, changes):
-    status = diagnosed(picture(**changes))[part]
+    limits = Limits(**changes.pop('limits', {}))
+    status = diagnosed(picture(**changes), limits=limits)[part]
     assert status.level == level
     assert words in status.message
+
+
+def test_every_threshold_silences_its_warning():
+    """A threshold of the same name as the fault that it judges, raised, turns WARN into OK."""
+    raised = {
+        'gap_limit': ('acceleration', {'gaps': 1}),
+        'lost_limit': ('acceleration', {'lost': 1}),
+        'duplicate_limit': ('acceleration', {'stamps': Stamps(duplicates=1)}),
+        'out_of_order_limit': ('acceleration', {'stamps': Stamps(out_of_order=1)}),
+        'clock_offset_limit': ('clock', {'stamps': Stamps(offset=7.0)}),
+        'bad_sample_limit': ('axle box axle1_left', {
+            'samples': 256, 'bad_samples': {'axle1_left': 1}}),
+        'stuck_limit': ('axle box axle1_left', {'signals': {'axle1_left': Signal(9, 0, 0.0, 2.0)}}),
+        'saturation_limit': ('axle box axle1_left', {'signals': {'axle1_left': Signal(9, 1, 0.0)}}),
+        'offset_limit': ('axle box axle1_left', {'signals': {'axle1_left': Signal(9, 0, 9.0)}}),
+        'slip_limit': ('speed', {'speed_change': 4.0}),
+        'gnss_limit': ('speed', {'gnss_difference': 0.2}),
+        'latency_limit': ('latency', {'latency': LatencyFigures(9, 0.1, 0.2, 0.3)}),
+        'load_limit': ('load', {'load': 0.95}),
+        'residual_limit': ('model', {'residuals': {'axle2_left': {'100-400 Hz': 0.7}}}),
+    }
+    for name, (part, changes) in raised.items():
+        now = picture(**dict(changes))
+        assert diagnosed(now)[part].level in (WARN, ERROR), name
+        high = 1.0 if name.startswith(('bad', 'saturation')) else 50.0
+        assert diagnosed(now, limits=Limits(**{name: high}))[part].level == OK, name
+
+
+def test_all_that_is_wrong_is_named_the_worst_first():
+    status = diagnosed(picture(lost=4, gaps=1, shed=2))['acceleration']
+    assert status.level == ERROR
+    assert status.message.index('overload') < status.message.index('lost')
+    assert '1 gaps' in status.message
 
 
 def test_what_was_wrong_before_is_forgotten():
@@ -216,6 +282,30 @@ def test_restamping_moves_the_stamp_and_nothing_else(types, shift):
     assert decode_stamp(moved) == stamp + shift
     moved.header = message.header
     assert moved == message
+
+
+def test_an_endless_run_goes_on_without_a_gap_in_stamps():
+    from railtrack_ros.bags.mcap_file import RawMessage
+    from railtrack_ros.bags.writer import ACCELERATION_TOPIC, SPEED_TOPIC
+    from railtrack_ros.node.virtual_vehicle import endless
+
+    def message(topic, due, stamp):
+        header = encode_header(stamp, '', LIVE)
+        return RawMessage(topic, 'sensor_msgs/msg/PointCloud2', due,
+                          serialize_message(PointCloud2(header=header)))
+
+    run = [message(SPEED_TOPIC, due, due) for due in range(-2, 5)]
+    run += [message(ACCELERATION_TOPIC, due, due - 1) for due in range(1, 5)]
+    run.sort(key=lambda m: m.log_time)
+    base = 10**9
+    run = [m._replace(log_time=m.log_time + base, data=restamped(m.data, base)) for m in run]
+    sent = list(itertools.islice(endless(run, 4), 60))
+    for topic, first in ((SPEED_TOPIC, -2), (ACCELERATION_TOPIC, 1)):
+        times = [m.log_time - base for m in sent if m.topic == topic]
+        assert times == list(range(first, first + len(times)))
+        stamps = [decode_stamp(deserialize_message(m.data, PointCloud2)) - base
+                  for m in sent if m.topic == topic]
+        assert stamps == [t - (topic == ACCELERATION_TOPIC) for t in times]
 
 
 def test_reading_ahead_keeps_order_and_passes_errors_on():

@@ -114,6 +114,35 @@ def test_an_unknown_parameter_of_a_file_is_told_by_name(processes, tmp_path):
     assert lines.has("parameter trak is unknown and has no effect; did you mean 'track'?")
 
 
+def test_after_kill_9_it_comes_back_from_its_caches_and_takes_up_the_stream(processes, tmp_path):
+    """The vehicle drives on all the time; what the second life publishes continues in position."""
+    lines = Lines()
+
+    def start(name):
+        return processes.start(name, ESTIMATOR, ros_parameters(
+            {'vehicle': str(BAGS / 'two_wheels.yaml'), 'start_position': 100.0}), lines)
+
+    first = start('first')
+    wait_for(lambda: lines.has('ready'))
+    processes.start('vehicle', VEHICLE, ros_parameters(
+        {'recording': str(BAGS / 'corrugated_two_wheels.mcap'), 'loop': True, 'truth': False}),
+        lines)
+    wait_for(lambda: lines.has('running'))
+    os.kill(first.pid, signal.SIGKILL)
+    wait_for(lambda: first.status is not None)
+    lines.texts.clear()
+    start('second')
+    wait_for(lambda: lines.has('ready'))
+    copy = tmp_path / 'after.mcap'
+    recorder = processes.start('recorder', RECORDER, ros_parameters(
+        {'output': str(copy), 'topics': '/track_estimator/contact_force'}), lines)
+    wait_for(lambda: lines.has('recording'))
+    time.sleep(3.0)
+    assert recorder.stop() == 0
+    with open_bag(copy) as bag:
+        assert bag.topics['/track_estimator/contact_force'].count > 10
+
+
 def test_played_messages_are_recorded_byte_for_byte(processes, tmp_path, monkeypatch):
     """`railtrack play` in this process, the recorder in another."""
     lines = Lines()

@@ -21,10 +21,11 @@ from railtrack_ros.runs.driven import drive, oversampling
 from railtrack_ros.runs.replay import estimate_run, replay_recording
 from railtrack_ros.runs.replay_input import Bound, Stretch
 from railtrack_ros.runs.replay_model import Samples, _excitation, _high_pass, _place, replay
-from railtrack_ros.runs.replay_report import About, overall, replay_report, worst
+from railtrack_ros.runs.replay_report import About, overall, replay_report, unexplained, worst
 from railtrack_ros.runs.synthesize import synthesize
 from railtrack_ros.runs.virtual_run import RunSettings
 from railtrack_ros.track.bay import Mesh, make_bay
+from railtrack_ros.track.description import Stretch as TrackStretch
 from railtrack_ros.vehicle.description import load_vehicle
 
 RATE = 25600.0
@@ -56,6 +57,14 @@ def replayed(recording, table_3_1, bogie, tmp_path_factory):
     result = replay_recording(recording, table_3_1, bogie, output,
                               Stretch(Bound(125.0, 'm'), Bound(1.6, 's')))
     return output, result
+
+
+def whole_run(path, *arguments):
+    """Run the estimator over a recording; return what it found with the samples of all of it."""
+    taken = []
+    found = estimate_run(path, *arguments, Stretch(), lambda *args: taken.append(args))
+    found.samples = taken[0][0]
+    return found
 
 
 def sine(speed, wavelength, seconds=2.0):
@@ -249,7 +258,7 @@ def test_the_stretch_is_the_one_asked_for(replayed):
 
 
 def test_the_samples_of_a_stretch_are_those_of_the_whole_run(recording, table_3_1, bogie, replayed):
-    whole = estimate_run(recording, table_3_1, bogie, SETTINGS, Stretch())
+    whole = whole_run(recording, table_3_1, bogie, SETTINGS)
     part = replayed[1].replayed.samples
     first = round(part.start_time * RATE)
     assert first > 0
@@ -286,7 +295,7 @@ def test_errors_csv_is_the_error_table(replayed):
     with open(output / 'errors.csv', newline='') as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == len(result.replayed.errors)
-    assert {row['band'] for row in rows} == {'all', 'frequency', 'wavelength'}
+    assert {row['band'] for row in rows} == {'all', 'section', 'frequency', 'wavelength'}
     every = [row for row in rows if row['band'] == 'all']
     assert all(row['frequency_hz'] == '' for row in every)
     for row in rows:
@@ -299,7 +308,8 @@ def test_waveforms_of_the_model_stand_beside_those_of_the_run(replayed, recordin
     name = bogie.axle_boxes[0].name
     with open_bag(output / 'replay.mcap') as bag, open_bag(recording) as measured:
         assert set(bag.topics) == {f'/full_model/{q}' for q in (
-            'contact_force', 'rail_deflection', 'axle_box_acceleration', 'irregularity')}
+            'contact_force', 'rail_deflection', 'axle_box_acceleration', 'irregularity',
+            'configuration')}
         force = read_waveform(bag, '/full_model/contact_force')
         truth = read_waveform(measured, '/truth/contact_force')
     first = int(np.searchsorted(truth.time_ns, force.time_ns[0] - 10))
@@ -370,8 +380,8 @@ def test_a_gap_in_the_recording_is_not_bridged(recording, table_3_1, bogie, tmp_
                     and 0.8 <= (message.log_time - run.bag.start_time) / SECOND - 0.1 < 0.85)
             if not lost:
                 copy.write_raw(message.topic, message.type, message.log_time, message.data)
-    found = estimate_run(path, table_3_1, bogie, SETTINGS, Stretch())
-    whole = estimate_run(recording, table_3_1, bogie, SETTINGS, Stretch())
+    found = whole_run(path, table_3_1, bogie, SETTINGS)
+    whole = whole_run(recording, table_3_1, bogie, SETTINGS)
     assert found.samples.position == pytest.approx(whole.samples.position, abs=1e-3)
     measured = found.samples.measured[bogie.axle_boxes[0].name]
     assert 0.04 < np.isnan(measured).sum() * STEP < 0.06
@@ -395,11 +405,11 @@ def test_latency_is_taken_from_a_live_recording_only(recording, table_3_1, bogie
                                        np.zeros(block.samples))
                 copy.write_waveform('/track_estimator/contact_force', result,
                                     message.log_time + 4_000_000)
-    live = estimate_run(path, table_3_1, bogie, SETTINGS, Stretch()).latency
+    live = whole_run(path, table_3_1, bogie, SETTINGS).latency
     assert live.delay == pytest.approx(4e-3)
     assert live.delay.size == 200
     assert live.real_time_limit == pytest.approx(0.01)
-    assert estimate_run(recording, table_3_1, bogie, SETTINGS, Stretch()).latency is None
+    assert whole_run(recording, table_3_1, bogie, SETTINGS).latency is None
 
 
 def test_an_interrupt_leaves_the_results_of_the_last_run(recording, table_3_1, bogie, tmp_path,
@@ -408,9 +418,9 @@ def test_an_interrupt_leaves_the_results_of_the_last_run(recording, table_3_1, b
     output.mkdir()
     (output / 'comparison.csv').write_text('old')
 
-    def interrupted(path, found):
+    def interrupted(files, found):
         raise KeyboardInterrupt
-    monkeypatch.setattr(replay_files, 'write_waveforms', interrupted)
+    monkeypatch.setattr(replay_files.ReplayFiles, 'add', interrupted)
     with pytest.raises(KeyboardInterrupt):
         replay_recording(recording, table_3_1, bogie, output, mesh=MESH)
     assert [file.name for file in output.iterdir()] == ['comparison.csv']
@@ -418,6 +428,118 @@ def test_an_interrupt_leaves_the_results_of_the_last_run(recording, table_3_1, b
 
 
 # The stretch and the command
+
+
+# In windows, along the track, and over any track
+
+
+def test_windows_give_the_errors_of_the_whole(recording, table_3_1, bogie, tmp_path):
+    stretch = Stretch(Bound(0.6, 's'), Bound(1.8, 's'))
+    whole, parts = (
+        replay_recording(recording, table_3_1, bogie, tmp_path / str(window), stretch, mesh=MESH,
+                         window=window).replayed for window in (8.0, 0.45))
+    for quantity, pair in (('axle_box_acceleration', ('full_model', 'measured')),
+                           ('contact_force', ('estimated', 'truth'))):
+        for one, other in zip(overall(whole.errors, quantity, *pair),
+                              overall(parts.errors, quantity, *pair), strict=True):
+            assert other == pytest.approx(one, rel=0.15)
+    assert parts.extent.begin == pytest.approx(whole.extent.begin, abs=0.01)
+    assert parts.extent.end == pytest.approx(whole.extent.end, abs=0.01)
+    assert parts.extent.duration == pytest.approx(whole.extent.duration, abs=2 * STEP)
+    assert parts.extent.speeds == pytest.approx(whole.extent.speeds, rel=1e-3)
+    times = []
+    for name in ('8.0', '0.45'):
+        with open_bag(tmp_path / name / 'replay.mcap') as bag:
+            times.append(read_waveform(bag, '/full_model/contact_force').time_ns)
+    np.testing.assert_allclose(*times, atol=2)      # ns: each sample once, none left out
+    with open(tmp_path / '0.45' / 'comparison.csv', newline='') as file:
+        rows = [r for r in csv.DictReader(file) if r['axle_box'] == bogie.axle_boxes[0].name]
+    assert (np.diff([float(row['time_s']) for row in rows]) > 0.0).all()
+
+
+def test_memory_does_not_grow_with_the_stretch(recording, table_3_1, bogie):
+    """What a window hands over is as long as the window with what it needs around it."""
+    taken = []
+    estimate_run(recording, table_3_1, bogie, SETTINGS, Stretch(),
+                 lambda samples, part, settings: taken.append((samples.position.size, part)),
+                 window=0.4)
+    assert len(taken) == 5
+    assert sum(part.stop - part.start for _, part in taken) == 2 * RATE
+    assert max(size for size, _ in taken) < 1.9 * RATE
+
+
+def test_sections_of_an_axle_box_are_those_of_its_own_place(replayed, bogie):
+    output, result = replayed
+    sections = [e for e in result.replayed.errors if e.band == 'section'
+                and e.quantity == 'contact_force' and e.compared == 'full_model'
+                and e.reference == 'estimated']
+    begin, end = result.replayed.compared
+    for box in bogie.axle_boxes:
+        places = sorted((e.begin, e.end) for e in sections if e.axle_box == box.name)
+        assert places[0][0] <= begin + box.offset < places[0][1]
+        assert [b for b, _ in places[1:]] == [e for _, e in places[:-1]]
+        assert all(e - b == 10.0 for b, e in places)
+    every = [e for e in result.replayed.errors if e.band == 'all'
+             and e.quantity == 'contact_force' and e.compared == 'full_model'
+             and e.reference == 'estimated']
+    for line in every:
+        parts = [e for e in sections if e.axle_box == line.axle_box]
+        squares = sum(e.samples * e.rms_difference**2 for e in parts)
+        total = sum(e.samples for e in parts)
+        assert np.sqrt(squares / total) == pytest.approx(line.rms_difference, rel=0.02)
+
+
+def test_coherence_is_1_through_a_filter_and_small_between_strangers():
+    rng = np.random.default_rng(2)
+    band = band_for(25.0, 3.0, STEP)
+    noise, other = (band.limit(x) for x in rng.standard_normal((2, 60000)))
+    distance = 25.0 * STEP * np.arange(noise.size)
+    delayed = 3.0 * np.roll(noise, 7)
+    lines = comparison.errors('contact_force', 'a', ('x', delayed), ('y', noise), distance, band)
+    found = [e.coherence for e in lines if e.band == 'frequency' and e.frequency > 50.0]
+    assert min(found) > 0.98
+    lines = comparison.errors('contact_force', 'a', ('x', other), ('y', noise), distance, band)
+    found = [e.coherence for e in lines if e.band == 'frequency' and e.frequency > 50.0]
+    assert max(found) < 0.3
+
+
+def test_a_short_record_claims_no_coherence():
+    noise = np.random.default_rng(2).standard_normal(5000)
+    lines = comparison.errors('contact_force', 'a', ('x', noise), ('y', noise),
+                              25.0 * STEP * np.arange(noise.size), band_for(25.0, 3.0, STEP))
+    assert lines
+    assert all(np.isnan(e.coherence) for e in lines)
+
+
+def test_merging_tables_averages_energies_with_the_samples_as_weights():
+    def line(rms, samples, **other):
+        return comparison.Error('contact_force', 'a', 'x', 'y', 'all', np.nan, np.nan, rms, rms,
+                                rms, samples, **other)
+
+    found, = comparison.merged([[line(3.0, 100)], [line(6.0, 300)]])
+    assert found.rms_difference == pytest.approx(np.sqrt((9 + 3 * 36) / 4))
+    assert found.samples == 400
+    tables = [[line(1.0, 1, begin=0.0, end=10.0)], [line(1.0, 1, begin=10.0, end=20.0)]]
+    assert len(comparison.merged(tables)) == 2
+
+
+def test_the_stretch_that_the_model_does_not_explain_is_named(recording, table_3_1, bogie,
+                                                              tmp_path):
+    """The full model has pads a tenth as stiff from 130 to 140 m, the measured track has not."""
+    first = bogie.axle_boxes[0].name
+    support = table_3_1.support
+    soft = dataclasses.replace(support, pad_stiffness=0.1 * support.pad_stiffness)
+    uneven = dataclasses.replace(table_3_1, stretches=(
+        TrackStretch(130.0, 139.9, table_3_1.rail, soft),))
+    result = replay_recording(recording, table_3_1, bogie, tmp_path / 'out',
+                              Stretch(Bound(0.9, 's'), None), model_track=uneven)
+    named = unexplained(result.replayed.errors)
+    assert {e.axle_box for e in named} == {box.name for box in bogie.axle_boxes}
+    assert all((e.begin, e.end) == (130.0, 140.0) for e in named if e.axle_box == first)
+    assert any('does not explain' in text and '130 m to 140 m' in text
+               for text in result.report.findings)
+    assert result.report.tables[0].rows
+    assert result.summary['unexplained'][0]['from_m'] == 130.0
 
 
 @pytest.mark.parametrize(('text', 'value', 'unit'), [
@@ -457,7 +579,7 @@ def test_a_vehicle_without_any_channel_of_the_recording_is_refused(recording, ta
     boxes = tuple(dataclasses.replace(box, name=f'other_{box.name}') for box in bogie.axle_boxes)
     with pytest.raises(InputError, match='none of the axle boxes'):
         estimate_run(recording, table_3_1, dataclasses.replace(bogie, axle_boxes=boxes), SETTINGS,
-                     Stretch())
+                     Stretch(), lambda *samples: None)
 
 
 def test_the_command_writes_its_files_and_a_summary(recording, bogie, tmp_path, capfd):

@@ -10,7 +10,9 @@ import subprocess
 import numpy as np
 import pytest
 
+from railtrack_ros import __version__
 from railtrack_ros.errors import InputError
+from railtrack_ros.estimation.settings import EstimatorSettings, IndicatorSettings
 from railtrack_ros.report import plots, sections
 from railtrack_ros.report.content import (
     BandError,
@@ -26,6 +28,9 @@ from railtrack_ros.report.content import (
 )
 from railtrack_ros.report.overview import draw_overview
 from railtrack_ros.report.page import render, write_report
+from railtrack_ros.runs.estimate_report import write_estimate_report
+from railtrack_ros.runs.estimated import BoxFigures, Estimated
+from railtrack_ros.vehicle.description import load_vehicle
 
 BOXES = ('axle1_left', 'axle2_left', 'axle1_right', 'axle2_right')
 CHROMIUM = next(filter(None, map(shutil.which, (
@@ -277,3 +282,29 @@ def test_a_browser_draws_every_plot_and_asks_no_network(full_report, browser, tm
     hosts = set(re.findall(r'"url":"(?:https?|wss?)://([^/:"]+)', log.read_text()))
     assert {h for h in hosts if not re.search(r'(^|\.)(google|googleapis)\.com$', h)} == set(), (
         'beside those that the browser itself asks')
+
+
+def test_the_page_of_an_estimate_tells_what_it_was_computed_with(table_3_1, tmp_path):
+    coach = load_vehicle('measurement_coach')
+    found = Estimated(EstimatorSettings(), sample_rate=25600.0, duration=10.0, distance=300.0,
+                      start=0.0, end=300.0, lowest_speed=29.0, highest_speed=31.0,
+                      boxes={'axle1_left': BoxFigures(1000, 980, 30e3, 90e3)},
+                      defects=['run.mcap: gap of 0.05 s'])
+    path = tmp_path / 'estimate.html'
+    report = write_estimate_report(path, 'run.mcap', found, table_3_1, coach, IndicatorSettings())
+    page = path.read_text()
+    for text in ('gap of 0.05 s', 'cut on wavelength', '3.0 m', __version__, '25600 Hz',
+                 'Butterworth', 'distributed, every 0.6 m', '98.0', 'minimum prominence'):
+        assert text in page, text
+    assert report.title == 'Estimate of run.mcap'
+    assert 'http://' not in page.split('<script>')[0]
+
+
+def test_values_per_section_are_shown_along_all_of_the_track():
+    wave = Waveform(5.0, 10.0, {'first': np.ones(30), 'second': np.ones(30)})
+    figure = plots.waveforms(WaveformPlot('a', 'RMS', 'µm', 1.0, {'axle1_left': wave}))
+    assert figure.layout.xaxis.range is None
+    assert not figure.layout.xaxis.rangeslider.visible
+    fine = Waveform(5.0, 0.01, {'first': np.ones(3000)})
+    figure = plots.waveforms(WaveformPlot('a', 'force', 'kN', 1.0, {'axle1_left': fine}))
+    assert np.ptp(figure.layout.xaxis.range) == 3.0

@@ -8,10 +8,13 @@ import pytest
 
 from railtrack_ros.cli.main import main
 from railtrack_ros.cli.simulate import COLUMNS
+from railtrack_ros.dynamics.modes import make_track_modes
 from railtrack_ros.errors import InputError
 from railtrack_ros.irregularity import profile
 from railtrack_ros.runs import forward_run
 from railtrack_ros.runs.forward_run import SpeedHistory
+from railtrack_ros.track.bay import make_bay
+from railtrack_ros.track.description import load_track
 
 STEP = 1e-4
 SOLVERS = ('newmark', 'irf', 'recursive')
@@ -229,3 +232,46 @@ def test_speed_history_is_integrated_exactly():
         assert history.time_of_distance(distance) == pytest.approx(time)
     with pytest.raises(InputError, match='ends after 3 m'):
         history.time_of_distance(3.1)
+
+
+@pytest.mark.parametrize(('options', 'words'), [
+    (['--solver', 'newmark', '--hold', 'linear'], 'hold: the solver newmark does not have it'),
+    (['--solver', 'irf', '--cut-off', '4000'], 'cut_off: the solver irf does not have it'),
+    (['--solver', 'recursive', '--memory', '0.1'], 'memory: the solver recursive does not'),
+    (['--solver', 'recursive', '--cut-off', '10'], 'cut-off of the poles: 10 Hz is too low'),
+    (['--solver', 'irf', '--memory', '1e-5'], 'memory: 1e-05 s is too short'),
+])
+def test_options_of_another_solver_are_refused(capsys, tmp_path, options, words):
+    status = main(['simulate', '--track', 'blanco_table_3_1', '--vehicle', 'blanco_table_3_1',
+                   '--speed', '30', '--distance', '0.2', '--output', str(tmp_path / 'x.csv'),
+                   *options])
+    assert status == 2
+    assert words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize('solver', ['irf', 'recursive'])
+def test_hold_is_used_and_told(capsys, tmp_path, solver):
+    forces = {}
+    for hold in ('trapezoidal', 'linear'):
+        path = tmp_path / f'{hold}.csv'
+        assert main(['simulate', '--track', 'blanco_table_3_1', '--vehicle', 'blanco_table_3_1',
+                     '--solver', solver, '--speed', '30', '--distance', '0.6', '--elements-per-bay',
+                     '6', '--time-step', '1e-4', '--irregularity', 'sine:0.04:5e-6', '--hold', hold,
+                     '--output', str(path), '--json']) == 0
+        assert json.loads(capsys.readouterr().out)['hold'] == hold
+        forces[hold] = np.genfromtxt(path, delimiter=',', names=True)['contact_force_n']
+    difference = np.std(forces['linear'] - forces['trapezoidal'])
+    assert 1e-3 < difference / np.std(forces['linear']) < 0.3
+
+
+def test_cache_is_listed_with_its_size_and_cleared(capsys, monkeypatch, tmp_path):
+    monkeypatch.setenv('NUMBA_CACHE_DIR', str(tmp_path))
+    make_track_modes(make_bay(load_track('blanco_table_3_1')), 21)
+    assert main(['cache', '--json']) == 0
+    told = json.loads(capsys.readouterr().out)
+    (entry,) = told['entries']
+    assert told['bytes'] == entry['bytes'] > 10_000
+    assert main(['cache', '--clear']) == 0
+    assert 'removed' in capsys.readouterr().out
+    assert main(['cache']) == 0
+    assert capsys.readouterr().out.startswith('0 tables, 0.0 of at most')

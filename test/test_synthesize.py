@@ -11,6 +11,7 @@ from railtrack_ros.bags.codec import decode_speed, decode_waveform
 from railtrack_ros.bags.reader import read_waveforms
 from railtrack_ros.cli.main import main
 from railtrack_ros.errors import InputError
+from railtrack_ros.irregularity.surface import Surface, read_part
 from railtrack_ros.paths import share_directory
 from railtrack_ros.runs.synthesize import ACCELERATION_TOPIC, SPEED_TOPIC, synthesize
 from railtrack_ros.runs.virtual_run import (
@@ -280,3 +281,35 @@ def test_a_roughness_file_that_is_too_short_is_refused(tmp_path, two_wheels):
 def test_settings_out_of_range_are_refused_by_name(change):
     with pytest.raises(InputError, match=next(iter(change))):
         dataclasses.replace(SHORT, **change)
+
+
+def test_joints_and_wheel_flats_are_parts_of_the_truth(table_3_1, two_wheels):
+    front, rear = two_wheels.axle_boxes
+    parts = tuple(map(read_part, ('joint:1.2:1e-4:0.5', f'flat:0.05:2e-4:{front.name}')))
+    settings = RunSettings(duration=0.2, speed=10.0, irregularity=parts, noise=0.0)
+    blocks = list(simulate_run(table_3_1, two_wheels, settings))
+    position = np.concatenate([block.position for block in blocks])
+    found = {box.name: np.concatenate([block.irregularity[box.name] for block in blocks])
+             for box in two_wheels.axle_boxes}
+    expected = Surface(parts, two_wheels, 0.0, 0.0, 3.0)
+    for box in two_wheels.axle_boxes:
+        np.testing.assert_allclose(found[box.name], expected.at(box, position), atol=1e-9)
+    assert found[front.name].min() < -0.9e-4
+    assert set(position[found[rear.name] < -1e-6] + rear.offset > 0.9) <= {True}
+
+
+def test_a_track_may_change_under_a_virtual_run(table_3_1, wheelset):
+    """A hanging sleeper shows in the deflection where it is, and nowhere else."""
+    hanging = dataclasses.replace(table_3_1.support, ballast_stiffness=1e6)
+    uneven = dataclasses.replace(table_3_1, sleepers=((8, hanging),))
+    settings = RunSettings(duration=0.5, speed=20.0, noise=0.0)
+    name = wheelset.axle_boxes[0].name
+    runs = []
+    for track in (table_3_1, uneven):
+        blocks = list(simulate_run(track, wheelset, settings))
+        runs.append(np.concatenate([block.rail_deflection[name] for block in blocks]))
+        position = np.concatenate([block.position for block in blocks])
+    extra = runs[1] - runs[0]
+    assert position[extra.argmin()] == pytest.approx(8 * 0.6, abs=0.3)
+    assert extra.min() < 0.1 * runs[0].min()
+    assert np.abs(extra[position < 1.5]).max() < 1e-2 * abs(extra.min())

@@ -66,8 +66,25 @@ def test_repeated_blocks_and_blocks_from_the_past_are_dropped_without_a_trace():
 def test_clock_set_back_begins_the_stream_anew():
     c = clock()
     c.place(START, T10)
-    assert c.place(START - 3600 * S, T10)[0] is Place.REWOUND
-    assert c.place(START - 3600 * S + 10 * MS, T10)[0] is Place.CONTINUED
+    assert c.place(START - 3600 * S, T10)[0] is Place.DROPPED  # it may be a slip of one stamp
+    assert c.place(START - 3600 * S + 10 * MS, T10)[0] is Place.REWOUND
+    assert c.begun_ns == START - 3600 * S
+    assert c.place(START - 3600 * S + 20 * MS, T10)[0] is Place.CONTINUED
+
+
+@pytest.mark.parametrize('slip', [-3600 * S, 3600 * S])
+def test_one_wild_stamp_is_dropped_and_the_stream_goes_on(slip):
+    c = clock()
+    c.place(START, T10)
+    assert c.place(START + slip, T10)[0] is Place.DROPPED
+    assert c.place(START + 10 * MS, T10)[0] is Place.CONTINUED
+
+
+def test_a_long_gap_is_believed_from_the_second_block_on():
+    c = clock()
+    c.place(START, T10)
+    assert c.place(START + 60 * S, T10)[0] is Place.DROPPED
+    assert c.place(START + 60 * S + 10 * MS, T10)[0] is Place.STARTED
 
 
 @pytest.mark.parametrize('samples', [2, 10, 256, 25600])

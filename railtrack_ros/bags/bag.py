@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import heapq
 import itertools
+import os
 import re
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
@@ -14,7 +16,7 @@ import yaml
 
 from railtrack_ros.bags.mcap_file import FACTS, MAGIC, McapFile, RawMessage, Topic
 from railtrack_ros.bags.message_types import OFFLINE
-from railtrack_ros.bags.sqlite_bag import SQLITE_MAGIC, RosbagsStorage
+from railtrack_ros.bags.sqlite_bag import SQLITE_MAGIC, RosbagsStorage, SalvagedSqlite, is_cut
 from railtrack_ros.errors import InputError
 
 ROS1_MAGIC = b'#ROSBAG'
@@ -32,8 +34,13 @@ class Storage(Protocol):
     def topics(self) -> Sequence[Topic]:
         """Return the topics; one may occur more than once."""
 
-    def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
-        """Yield the messages of some topics, or of all, in the order of their log time."""
+    def messages(
+        self,
+        topics: Collection[str] | None = None,
+        since: int | None = None,
+        until: int | None = None,
+    ) -> Iterator[RawMessage]:
+        """Yield messages with since <= log time < until [ns] in the order of their log time."""
 
     def close(self) -> None:
         """Close what is open."""
@@ -45,7 +52,7 @@ class Bag:
     Attributes
     ----------
     path
-        The recording.
+        The recording, the first one if there are several.
     topics
         Topics by name, with type, encoding and number of messages.
     start_time, end_time
@@ -65,11 +72,14 @@ class Bag:
         filled = [storage for storage in storages if any(x.count for x in storage.topics)]
         if not filled:
             self.close()
-            raise InputError('; '.join([f'{path}: holds no messages', *self.notes]))
+            notes = [note.removeprefix(f'{path}: ').removeprefix(f'{path}{os.sep}')
+                     for note in self.notes]
+            raise InputError('; '.join([f'{path}: holds no messages', *notes]))
         self.start_time = min(storage.start_time for storage in filled)
         self.end_time = max(storage.end_time for storage in filled)
+        self._storages.sort(key=lambda storage: storage.start_time)
         self.facts: dict[str, str] = {}
-        for storage in storages:
+        for storage in reversed(self._storages):
             self.facts.update(storage.metadata.get(FACTS, {}))
 
     @property
@@ -82,13 +92,47 @@ class Bag:
         """Return the number of messages of all topics."""
         return sum(topic.count for topic in self.topics.values())
 
-    def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
+    def messages(
+        self,
+        topics: Collection[str] | None = None,
+        since: int | None = None,
+        until: int | None = None,
+    ) -> Iterator[RawMessage]:
         """Yield the messages of some topics (None: of all) in the order of their log time.
 
-        Only a few chunks of the file are in memory at a time.
+        Only those with since <= log time < until [ns] come. Only a few chunks of the files are in
+        memory at a time; files are merged where they overlap in time.
         """
-        for storage in self._storages:
-            yield from storage.messages(topics)
+        waiting = [storage for storage in self._storages if any(x.count for x in storage.topics)]
+        reading: list[tuple[int, int, RawMessage, Iterator[RawMessage]]] = []
+        for number in range(len(waiting)):
+            begin = waiting[number].start_time
+            yield from self._earliest(reading, begin)
+            stream = waiting[number].messages(topics, since, until)
+            self._next(reading, number, stream)
+        yield from self._earliest(reading, None)
+
+    @staticmethod
+    def _next(
+        reading: list[tuple[int, int, RawMessage, Iterator[RawMessage]]],
+        number: int,
+        stream: Iterator[RawMessage],
+    ) -> None:
+        """Put the next message of a stream among those that wait their turn."""
+        message = next(stream, None)
+        if message is not None:
+            heapq.heappush(reading, (message.log_time, number, message, stream))
+
+    def _earliest(
+        self,
+        reading: list[tuple[int, int, RawMessage, Iterator[RawMessage]]],
+        before: int | None,
+    ) -> Iterator[RawMessage]:
+        """Yield the messages that were logged before a time (None: all), the earliest first."""
+        while reading and (before is None or reading[0][0] < before):
+            _, number, message, stream = heapq.heappop(reading)
+            yield message
+            self._next(reading, number, stream)
 
     def decode(self, message: RawMessage) -> Any:
         """Return a message as an object with the attributes of its type.
@@ -176,14 +220,30 @@ def _is_result(topic: str) -> bool:
     return topic.startswith('/truth/') or topic.rsplit('/', 1)[-1] in results
 
 
-def open_bag(path: str | Path) -> Bag:
-    """Open a recording.
+Paths = str | Path | Sequence[str | Path]
+
+
+def paths_of(bag: Paths) -> list[Path]:
+    """Return one path or several as a list; InputError for none, or the same one twice."""
+    paths = [Path(bag)] if isinstance(bag, (str, Path)) else [Path(path) for path in bag]
+    if not paths:
+        raise InputError('name a recording')
+    for number, path in enumerate(paths):
+        if path.resolve() in [other.resolve() for other in paths[:number]]:
+            raise InputError(f'{path}: is named twice')
+    return paths
+
+
+def open_bag(bag: Paths) -> Bag:
+    """Open a recording, or several that are read as one.
 
     Parameters
     ----------
-    path
+    bag
         A rosbag2 folder (MCAP or SQLite, split or compressed, also without `metadata.yaml`), or a
-        single `.mcap` or `.db3` file. What kind of file it is shows in its first bytes.
+        single `.mcap` or `.db3` file. What kind of file it is shows in its first bytes. Several
+        of them, in any order, are one run: messages come by their log time, and a time between
+        them is a gap.
 
     Raises
     ------
@@ -191,12 +251,19 @@ def open_bag(path: str | Path) -> Bag:
         There is nothing there, it is no recording, it holds no messages, or nothing of it can
         be read.
     """
-    path = Path(path)
-    if not path.exists():
-        raise InputError(f'{path}: no such file or folder')
     notes: list[str] = []
-    storages = _open_folder(path, notes) if path.is_dir() else [_open_file(path)]
-    return Bag(path, storages, notes)
+    storages: list[Storage] = []
+    paths = paths_of(bag)
+    try:
+        for path in paths:
+            if not path.exists():
+                raise InputError(f'{path}: no such file or folder')
+            storages += _open_folder(path, notes) if path.is_dir() else [_open_file(path)]
+    except BaseException:
+        for storage in storages:
+            storage.close()
+        raise
+    return Bag(paths[0], storages, notes)
 
 
 def _open_file(path: Path) -> Storage:
@@ -209,7 +276,7 @@ def _open_file(path: Path) -> Storage:
     if head.startswith(MAGIC):
         return McapFile(path)
     if head == SQLITE_MAGIC:
-        return RosbagsStorage(path)
+        return SalvagedSqlite(path) if is_cut(path) else RosbagsStorage(path)
     if not head:
         raise InputError(f'{path}: is empty')
     if head.startswith(ROS1_MAGIC):
@@ -237,7 +304,8 @@ def _open_folder(path: Path, notes: list[str]) -> list[Storage]:
     missing = [name for name in names if not (path / name).is_file()]
     if missing or not names:
         raise InputError(f'{path}: {", ".join(missing) or "no file"} of metadata.yaml is missing')
-    if storage == 'mcap' and not compressed:
+    cut = storage == 'sqlite3' and any(is_cut(path / name) for name in names)
+    if not compressed and (storage == 'mcap' or cut):
         return [_open_file(path / name) for name in names]
     return [RosbagsStorage(path)]
 

@@ -10,7 +10,6 @@ nothing is aliased. A gap begins a new block at its own time, and a missing valu
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,18 +21,20 @@ from scipy.interpolate import make_interp_spline
 from scipy.ndimage import median_filter
 
 from railtrack_ros.bags.codec import SECOND, START_NS, WaveformBlock
-from railtrack_ros.bags.tables import read_columns
+from railtrack_ros.bags.import_settings import (
+    ACCELERATION_UNITS,
+    POSITION_UNITS,
+    SPEED_UNITS,
+    Calibration,
+    ImportSettings,
+    facts_of,
+)
+from railtrack_ros.bags.signals import decimated, without_high_pass
+from railtrack_ros.bags.tables import defects, read_columns, sample_rate
 from railtrack_ros.bags.writer import ACCELERATION_TOPIC, FRAME, Recording
 from railtrack_ros.errors import InputError
 
 Array = NDArray[np.float64]
-
-ACCELERATION_UNITS = {'m/s2': 1.0, 'g': 9.80665}
-POSITION_UNITS = {'m': 1.0, 'km': 1000.0}
-SPEED_UNITS = {'m/s': 1.0, 'km/h': 1.0 / 3.6}
-
-NAME = re.compile(r'[A-Za-z][A-Za-z0-9_]*')
-RESERVED = ('t', 'position')
 
 BLOCK_DURATION = 0.01  # s, about; a power of two of samples
 SMALLEST_BLOCK = 8
@@ -53,74 +54,6 @@ SHORTEST = 16
 
 PLAUSIBLE_RATE = (20.0, 1e6)  # Hz
 FASTEST = 200.0  # m/s
-
-
-@dataclass(frozen=True)
-class ImportSettings:
-    """How the columns of a file are to be understood.
-
-    Attributes
-    ----------
-    channels
-        Column of the file to name of the axle box.
-    acceleration_unit
-        'm/s2' or 'g'.
-    sample_rate
-        Samples per second, where neither of the next two is given.
-    time_column
-        Column of the time [s].
-    position_column, position_unit
-        Column of the track position, in 'm' or 'km', increasing.
-    speed_column, speed, speed_unit
-        Column of the speed, or one value for the whole file; 'm/s' or 'km/h'.
-    """
-
-    channels: Mapping[str, str]
-    acceleration_unit: str = 'm/s2'
-    sample_rate: float | None = None
-    time_column: str | None = None
-    position_column: str | None = None
-    position_unit: str = 'm'
-    speed_column: str | None = None
-    speed: float | None = None
-    speed_unit: str = 'm/s'
-
-    def __post_init__(self) -> None:
-        bases = (self.sample_rate, self.time_column, self.position_column)
-        if sum(base is not None for base in bases) != 1:
-            raise InputError('give one of --sample-rate, --time-column, --position-column')
-        if (self.speed_column is None) == (self.speed is None):
-            raise InputError('give one of --speed-column, --speed: no estimate without a speed')
-        for option, unit, known in (
-            ('--acceleration-unit', self.acceleration_unit, ACCELERATION_UNITS),
-            ('--position-unit', self.position_unit, POSITION_UNITS),
-            ('--speed-unit', self.speed_unit, SPEED_UNITS),
-        ):
-            if unit not in known:
-                raise InputError(f'{option} {unit}: expected {" or ".join(known)}')
-
-
-def parse_channels(text: str) -> dict[str, str]:
-    """Return column to channel name from 'a,b' or 'column=name,...'.
-
-    Raises
-    ------
-    InputError
-        A name that cannot be part of a topic name, or a column or name given twice.
-    """
-    channels: dict[str, str] = {}
-    for part in text.split(','):
-        column, _, name = part.rpartition('=')
-        column, name = (column or name).strip(), name.strip()
-        if not NAME.fullmatch(name) or name in RESERVED:
-            raise InputError(
-                f'--channels: {name!r} cannot name a channel (letters, digits and _, beginning '
-                f'with a letter, not {" or ".join(RESERVED)}); give COLUMN=NAME'
-            )
-        if column in channels or name in channels.values():
-            raise InputError(f'--channels: {part.strip()!r}: column or name given twice')
-        channels[column] = name
-    return channels
 
 
 @dataclass(frozen=True)
@@ -165,7 +98,7 @@ def import_measurement(
     settings: ImportSettings,
     progress: Callable[[float], None] = lambda part: None,
 ) -> ImportSummary:
-    """Turn a CSV, NPZ or MAT file into a recording.
+    """Turn a file of another system, of the kinds that `tables` reads, into a recording.
 
     The recording begins at a fixed time, so that the same file always gives the same recording.
     Where the file tells the track position, that of the first sample is written
@@ -187,7 +120,7 @@ def import_measurement(
     """
     path = Path(path)
     stretches, summary = _stretches(path, settings, lambda part: progress(0.5 * part))
-    facts: dict[str, Any] = {'source': path.name}
+    facts: dict[str, Any] = {'source': path.name, **facts_of(settings)}
     if summary.start_position is not None:
         facts['start_position'] = summary.start_position
     total = sum(stretch.time.size for stretch in stretches)
@@ -220,13 +153,14 @@ def _stretches(
     count = next(iter(columns.values())).size
     if count < SHORTEST:
         raise InputError(f'{path}: {count} rows, expected a waveform of at least {SHORTEST}')
-    summary = ImportSummary()
+    summary = ImportSummary(notes=defects(path))
     speed = _speed(path, settings, columns, count)
     time = _time(path, settings, columns, speed, summary)
-    factor = ACCELERATION_UNITS[settings.acceleration_unit]
+    unit = ACCELERATION_UNITS[settings.acceleration_unit]
     channels = {}
     for column, name in settings.channels.items():
-        samples = columns[column] * factor
+        calibration = settings.calibration.get(name, Calibration())
+        samples = (columns[column] - calibration.offset) * (unit * calibration.factor)
         samples[~np.isfinite(samples)] = np.nan
         if np.isnan(samples).all():
             raise InputError(f'{path}: column {column!r} holds no numbers')
@@ -245,6 +179,7 @@ def _stretches(
     if dropped:
         summary.notes.append(f'{path}: {dropped} samples dropped, single ones between gaps')
     stretches = _equalised(path, stretches, summary)
+    stretches = [_conditioned(path, stretch, settings) for stretch in stretches]
     _describe(path, stretches, summary)
     return stretches, summary
 
@@ -281,8 +216,14 @@ def _time(
     summary: ImportSummary,
 ) -> Array:
     """Return the time (n,) [s] of every sample after the first one."""
-    if settings.sample_rate is not None:
-        return np.arange(speed.size) / settings.sample_rate
+    rate = settings.sample_rate
+    if rate is None and settings.time_column is None and settings.position_column is None:
+        rate = sample_rate(path)
+        if rate is None:
+            raise InputError(f'{path}: does not tell its sample rate; give one of --sample-rate, '
+                             '--time-column, --position-column')
+    if rate is not None:
+        return np.arange(speed.size) / rate
     if settings.time_column is not None:
         time = columns[settings.time_column]
         _check_increasing(path, settings.time_column, time, '--sample-rate takes its place')
@@ -363,6 +304,26 @@ def _resampled(stretch: Stretch, step: float) -> Stretch:
         values[np.interp(grid, stretch.time, np.where(known, 0.0, 1.0)) > 0.0] = np.nan
         channels[name] = values
     return Stretch(grid, np.interp(grid, stretch.time, stretch.speed), channels)
+
+
+def _conditioned(path: Path, stretch: Stretch, settings: ImportSettings) -> Stretch:
+    """Return a stretch with the sensors' high-pass undone, and decimated."""
+    undone, factor = settings.undo_high_pass, settings.decimate
+    channels = dict(stretch.channels)
+    if undone is not None:
+        if undone.frequency > 0.1 / stretch.step:
+            raise InputError(f'{path}: --undo-high-pass {undone}: above a tenth of the sample '
+                             f'rate of {1.0 / stretch.step:.6g} Hz')
+        channels = {
+            name: without_high_pass(x, stretch.step, undone.frequency, undone.order, undone.lowest)
+            for name, x in channels.items()}
+    if factor == 1:
+        return Stretch(stretch.time, stretch.speed, channels)
+    if stretch.time.size < SHORTEST * factor:
+        raise InputError(f'{path}: --decimate {factor}: a stretch of {stretch.time.size} samples '
+                         f'is too short for that, it takes {SHORTEST * factor}')
+    return Stretch(stretch.time[::factor], stretch.speed[::factor],
+                   {name: decimated(x, factor) for name, x in channels.items()})
 
 
 def _describe(path: Path, stretches: list[Stretch], summary: ImportSummary) -> None:

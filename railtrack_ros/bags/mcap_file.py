@@ -9,9 +9,10 @@ come in the order of their log time with the memory of the few chunks that overl
 from __future__ import annotations
 
 import heapq
+import json
 import zlib
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
@@ -26,8 +27,10 @@ from mcap.summary import Summary
 from railtrack_ros.errors import InputError
 
 MAGIC = b'\x89MCAP0\r\n'
-# Facts about a run that no message carries stand in the metadata record of this name.
+# Facts about a run that no message carries stand in the metadata record of this name. Records
+# outside of chunks have no checksum of their own, so the facts bring one along.
 FACTS = 'railtrack'
+FACTS_CHECKSUM = 'crc32'
 
 FOOTER_SIZE = 9 + 20 + len(MAGIC)  # footer record with its checksum last, then the magic again
 LARGEST_CHUNK = 1 << 30
@@ -71,6 +74,12 @@ def type_name(schema: Schema | None) -> str:
     """Return the full name of a message type, also where a writer left '/msg/' out."""
     name = schema.name if schema else ''
     return name.replace('/', '/msg/') if name.count('/') == 1 else name
+
+
+def facts_checksum(facts: Mapping[str, str]) -> str:
+    """Return the checksum of facts, which stands among them as `FACTS_CHECKSUM`."""
+    text = json.dumps({k: v for k, v in sorted(facts.items()) if k != FACTS_CHECKSUM})
+    return f'{zlib.crc32(text.encode()):08x}'
 
 
 def duration(nanoseconds: int) -> str:
@@ -139,18 +148,25 @@ class McapFile:
             for number, channel in self._channels.items()
         ]
 
-    def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
+    def messages(
+        self,
+        topics: Collection[str] | None = None,
+        since: int | None = None,
+        until: int | None = None,
+    ) -> Iterator[RawMessage]:
         """Yield the messages of some topics (None: of all) in the order of their log time.
 
         Messages of equal log time come in the order in which they stand in the file. A chunk
-        that turns out damaged is left out and told in `notes`.
+        that turns out damaged is left out and told in `notes`. Only messages with
+        since <= log time < until [ns] come; chunks without any are not read.
         """
+        first, last = -1 if since is None else since, 2**64 if until is None else until
         waiting: list[tuple[int, int, int, RawMessage]] = []
-        for span in sorted(self._spans):
+        for span in sorted(x for x in self._spans if x.end_time >= first and x.start_time < last):
             while waiting and waiting[0][0] < span.start_time:
                 yield heapq.heappop(waiting)[-1]
             for index, record in enumerate(self._records(span)):
-                if not isinstance(record, Message):
+                if not isinstance(record, Message) or not first <= record.log_time < last:
                     continue
                 channel = self._channels.get(record.channel_id)
                 if channel is None or (topics is not None and channel.topic not in topics):
@@ -207,8 +223,12 @@ class McapFile:
             if any(item.length > self._size for item in summary.metadata_indexes):
                 return False
             if summary.metadata_indexes:
-                for record in reader.iter_metadata():
-                    self.metadata[record.name] = record.metadata
+                for index, record in zip(
+                    summary.metadata_indexes, reader.iter_metadata(), strict=True
+                ):
+                    if record.name != index.name:
+                        return False
+                    self._take_metadata(record)
         except DAMAGE:
             self.metadata.clear()
             return False
@@ -226,6 +246,17 @@ class McapFile:
             for x in summary.chunk_indexes
         ]
         return True
+
+    def _take_metadata(self, record: Metadata) -> None:
+        """Take a metadata record; facts with a wrong checksum are left out and told."""
+        found = record.metadata
+        if record.name == FACTS and found.get(FACTS_CHECKSUM, '') not in (
+            '', facts_checksum(found)
+        ):
+            self.notes.append(f'{self.path}: the facts of the run (start position and others) are '
+                              'damaged and left out')
+            return
+        self.metadata[record.name] = {k: v for k, v in found.items() if k != FACTS_CHECKSUM}
 
     def _summary_is_sound(self, summary: Summary) -> bool:
         """Return whether a summary is complete, undamaged and about this file."""
@@ -269,7 +300,7 @@ class McapFile:
                     if offset - loose[0][1] > SPAN_SIZE:
                         self._add_loose(loose, self._file.tell())
                 elif isinstance(record, Metadata):
-                    self.metadata[record.name] = record.metadata
+                    self._take_metadata(record)
                 else:
                     self._register(record)
                 if not isinstance(record, Message):
@@ -299,10 +330,11 @@ class McapFile:
             self._spans.append(Span(min(times), offset, max(times), length, True))
 
     def _register(self, record: object) -> None:
+        """Take a schema or a channel; the first one counts, which stands in a checked chunk."""
         if isinstance(record, Schema):
-            self._schemas[record.id] = record
+            self._schemas.setdefault(record.id, record)
         elif isinstance(record, Channel):
-            self._channels[record.id] = record
+            self._channels.setdefault(record.id, record)
 
     def _add_loose(self, loose: list[tuple[int, int]], end: int) -> None:
         """Take messages outside of chunks into the index, up to the byte `end`."""

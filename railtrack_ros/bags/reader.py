@@ -10,13 +10,12 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 import numpy as np
 
-from railtrack_ros.bags.bag import Bag, open_bag
+from railtrack_ros.bags.bag import Bag, Paths, open_bag
 from railtrack_ros.bags.codec import (
     ODOMETRY,
     POINT,
@@ -126,9 +125,13 @@ class Run:
         self._everything = everything
 
     def __iter__(self) -> Iterator[Event]:
+        return self.events()
+
+    def events(self, since: int | None = None, until: int | None = None) -> Iterator[Event]:
+        """Yield the events with since <= log time < until [ns], None: without that bound."""
         inputs = {self.acceleration_topic, self.speed_topic, self.position_topic} - {None}
         topics = None if self._everything else {topic for topic in inputs if topic}
-        for message in self.bag.messages(topics):
+        for message in self.bag.messages(topics, since, until):
             if message.topic not in inputs:
                 yield OtherMessage(message)
                 continue
@@ -165,7 +168,7 @@ class Run:
 
 
 def read_run(
-    path: str | Path,
+    path: Paths,
     acceleration: str | None = None,
     speed: str | None = None,
     *,
@@ -259,6 +262,7 @@ def read_waveforms(
     *,
     time_ns: tuple[int, int] | None = None,
     position: tuple[float, float] | None = None,
+    log_time: tuple[int | None, int | None] = (None, None),
 ) -> dict[str, Waveform]:
     """Return the samples of waveform topics, read in one go through the recording.
 
@@ -272,6 +276,9 @@ def read_waveforms(
         Only samples with first <= time < last, nanoseconds since the epoch.
     position
         Only samples with first <= position < last, metres; needs a topic with positions.
+    log_time
+        Only messages with first <= log time < last, nanoseconds since the epoch: the rest of a
+        long recording is not read.
 
     Raises
     ------
@@ -281,7 +288,7 @@ def read_waveforms(
     for topic in topics:
         bag.topic(topic, topic, (WAVEFORM,), 'waveform')
     blocks: dict[str, list[WaveformBlock]] = {topic: [] for topic in topics}
-    for message in bag.messages(set(topics)):
+    for message in bag.messages(set(topics), *log_time):
         try:
             block = decode_waveform(bag.decode(message))
         except InputError as error:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from railtrack_ros.bags.bag import open_bag
+from railtrack_ros.bags.bag import Paths, open_bag
 from railtrack_ros.bags.codec import SECOND, WaveformBlock, decode_speed, decode_waveform
 from railtrack_ros.bags.reader import acceleration_topic, speed_topic, start_position
 from railtrack_ros.errors import InputError
@@ -185,7 +185,7 @@ class Survey:
 
 
 def survey(
-    path: str | Path,
+    path: Paths,
     acceleration: str | None = None,
     speed: str | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,

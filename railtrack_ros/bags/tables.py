@@ -1,7 +1,7 @@
 """Columns of numbers out of the files that loggers and analysis programs write.
 
 CSV (comma, semicolon, tab or blanks; decimal point or comma; with or without header), NPZ of
-NumPy, and MAT up to version 7 of MATLAB. Only the columns that are asked for are kept.
+NumPy, MAT of MATLAB, HDF5 and TDMS. Only the columns that are asked for are kept.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import csv
 import itertools
 import math
 import re
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from railtrack_ros.bags.structured import (
+    HDF5,
+    TDMS,
+    hdf5_arrays,
+    is_hdf5,
+    tdms_arrays,
+    tdms_defects,
+    tdms_sample_rate,
+)
 from railtrack_ros.errors import InputError
 from railtrack_ros.parameters import suggest
 
@@ -38,10 +47,12 @@ def read_columns(
     Parameters
     ----------
     path
-        A `.csv` (`.txt`, `.tsv`, `.asc`, `.dat`), `.npz` or `.mat` file.
+        A `.csv` (`.txt`, `.tsv`, `.asc`, `.dat`), `.npz`, `.mat`, `.h5` (`.hdf5`, `.hdf`) or
+        `.tdms` file.
     wanted
         Names of the columns: of the header, or '1', '2', ... where a text file has none; the
-        name of an array, with [0], [1], ... for the columns of an array of several.
+        name of an array, with [0], [1], ... for the columns of an array of several. Arrays in
+        groups are called by their path, or by the last part of it where that is unmistakable.
     progress
         Called with the part of the file that is read, 0 to 1.
 
@@ -64,10 +75,16 @@ def read_columns(
             columns = _read_text(path, wanted, progress)
         elif suffix == '.npz':
             columns = _choose(path, _npz_arrays(path), wanted)
+        elif suffix in HDF5 or (suffix == '.mat' and is_hdf5(path)):
+            with hdf5_arrays(path, suffix == '.mat') as arrays:
+                columns = _choose(path, arrays, wanted)
         elif suffix == '.mat':
             columns = _choose(path, _mat_arrays(path), wanted)
+        elif suffix in TDMS:
+            with tdms_arrays(path) as arrays:
+                columns = _choose(path, arrays, wanted)
         else:
-            known = ', '.join([*TEXT, '.npz', '.mat'])
+            known = ', '.join([*TEXT, '.npz', '.mat', *HDF5, *TDMS])
             raise InputError(f'{path}: unknown kind of file {suffix!r}; expected {known}')
     except OSError as error:
         raise InputError(f'{path}: cannot be read ({error.strerror or error})') from error
@@ -92,7 +109,21 @@ def _no_column(path: Path, name: str, names: Iterable[str]) -> InputError:
 # Arrays
 
 
-def _choose(path: Path, arrays: dict[str, Any], wanted: Collection[str]) -> dict[str, Array]:
+def sample_rate(path: str | Path) -> float | None:
+    """Return the sample rate [Hz] that a file itself tells, None where it does not."""
+    path = Path(path)
+    if path.suffix.lower() in TDMS and path.is_file():
+        return tdms_sample_rate(path)
+    return None
+
+
+def defects(path: str | Path) -> list[str]:
+    """Return what is wrong with a file although it can be read, a line each."""
+    path = Path(path)
+    return tdms_defects(path) if path.suffix.lower() in TDMS else []
+
+
+def _choose(path: Path, arrays: Mapping[str, Any], wanted: Collection[str]) -> dict[str, Array]:
     """Return columns of named arrays of one or two dimensions."""
     names: dict[str, tuple[str, int | None]] = {}
     for name, values in arrays.items():
@@ -102,6 +133,11 @@ def _choose(path: Path, arrays: dict[str, Any], wanted: Collection[str]) -> dict
             names.update({f'{name}[{k}]': (name, k) for k in range(values.shape[1])})
         elif values.ndim:
             names[name] = (name, None)
+    lasts = [name.rsplit('/', 1)[-1] for name in names]
+    names.update({
+        last: place for last, place in zip(lasts, list(names.values()), strict=True)
+        if lasts.count(last) == 1
+    })  # fmt: skip
     columns: dict[str, Array] = {}
     for name in wanted:
         if name not in names:
@@ -131,10 +167,6 @@ def _mat_arrays(path: Path) -> dict[str, np.ndarray]:
 
     try:
         content = scipy.io.loadmat(path)
-    except NotImplementedError as error:
-        raise InputError(
-            f"{path}: is a MAT file of version 7.3, which is not read; save it with '-v7'"
-        ) from error
     except OSError:
         raise
     except Exception as error:  # damaged files end in errors of many kinds

@@ -8,8 +8,9 @@ ros2, in zstd-compressed chunks with index and checksums, and carry the message 
 from __future__ import annotations
 
 import contextlib
+import copy
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO
@@ -19,7 +20,8 @@ from mcap.writer import Writer
 
 from railtrack_ros import __version__
 from railtrack_ros.bags.codec import SECOND, WaveformBlock, encode_speed, encode_waveform
-from railtrack_ros.bags.mcap_file import FACTS
+from railtrack_ros.bags.joining import join_files
+from railtrack_ros.bags.mcap_file import FACTS, FACTS_CHECKSUM, facts_checksum
 from railtrack_ros.bags.message_types import OFFLINE
 from railtrack_ros.errors import InputError
 from railtrack_ros.output import replacing
@@ -29,6 +31,9 @@ SPEED_TOPIC = '/speed'
 FRAME = 'base_link'
 
 METADATA_VERSION = 9
+LIBRARY = f'railtrack_ros {__version__}'
+
+Topics = Mapping[tuple[str, str], int]  # number of messages by topic and type
 
 
 class Recording:
@@ -71,17 +76,26 @@ class Recording:
         self._channels: dict[tuple[str, str], int] = {}
         self._schemas: dict[str, int] = {}
         self._flushed = 0
-        if any(self.path.resolve() == Path(other).resolve() for other in inputs):
-            raise InputError(f'{path}: is the input itself; choose another output')
+        refuse_inputs(path, inputs)
         self._replacing = contextlib.ExitStack()
         try:
             self._file = self._create()
         except OSError as error:
             raise self._cannot(error) from error
         self._writer = Writer(self._file)
-        self._writer.start('ros2', f'railtrack_ros {__version__}')
+        self._writer.start('ros2', LIBRARY)
 
     # Writing
+
+    def declare(self, topics: Mapping[str, str]) -> None:
+        """Open topics (name to type) in this order; messages may follow or not.
+
+        Recordings that declare the same topics first can be joined.
+        """
+        for topic, type_name in topics.items():
+            key = (topic, type_name)
+            if key not in self._channels:
+                self._open_channel(key)
 
     def write_raw(self, topic: str, type_name: str, log_time: int, data: bytes) -> None:
         """Write a message given as CDR bytes.
@@ -134,7 +148,8 @@ class Recording:
         """
         self.facts.update({key: str(value) for key, value in facts.items()})
         try:
-            self._writer.add_metadata(FACTS, dict(self.facts))
+            checksum = {FACTS_CHECKSUM: facts_checksum(self.facts)}
+            self._writer.add_metadata(FACTS, {**self.facts, **checksum})
         except OSError as error:
             raise self._cannot(error) from error
 
@@ -154,8 +169,9 @@ class Recording:
                 self._writer.finish()
                 self._file.close()
                 if self._folder:
-                    text = yaml.safe_dump(self._metadata(), sort_keys=False)
-                    (self._place / 'metadata.yaml').write_text(text, encoding='utf-8')
+                    extent = (self.start_time, self.end_time)
+                    write_metadata(
+                        self._place, self._file_name, self._counts, extent, self.facts)
         except OSError as error:
             raise self._cannot(error) from error
 
@@ -190,7 +206,7 @@ class Recording:
 
     @property
     def _file_name(self) -> str:
-        return f'{self.path.resolve().name}_0.mcap'
+        return name_in_folder(self.path)
 
     def _open_channel(self, key: tuple[str, str]) -> int:
         """Register topic and type, with the definition of the type where it is known."""
@@ -207,44 +223,105 @@ class Recording:
         self._channels[key] = channel
         return channel
 
-    def _metadata(self) -> dict[str, Any]:
-        """Return what `metadata.yaml` says."""
-        topics = [
-            {
-                'topic_metadata': {
-                    'name': topic,
-                    'type': name,
-                    'serialization_format': 'cdr',
-                    'offered_qos_profiles': [],
-                    'type_description_hash': OFFLINE.type_hash(name) if OFFLINE.knows(name) else '',
-                },
-                'message_count': count,
-            }
-            for (topic, name), count in self._counts.items()
-        ]
-        return {
-            'rosbag2_bagfile_information': {
-                'version': METADATA_VERSION,
-                'storage_identifier': 'mcap',
-                **self._extent(),
-                'topics_with_message_count': topics,
-                'compression_format': '',
-                'compression_mode': '',
-                'relative_file_paths': [self._file_name],
-                'files': [{'path': self._file_name, **self._extent()}],
-                'custom_data': self.facts or None,
-                'ros_distro': 'jazzy',
-            }
-        }
-
-    def _extent(self) -> dict[str, Any]:
-        """Return time span and size in the form of `metadata.yaml`."""
-        start = self.start_time if self.messages else 0
-        return {
-            'starting_time': {'nanoseconds_since_epoch': start},
-            'duration': {'nanoseconds': max(0, self.end_time - start)},
-            'message_count': self.messages,
-        }
-
     def _cannot(self, error: OSError) -> InputError:
         return InputError(f'{self.path}: cannot be written ({error.strerror or error})')
+
+
+def join_recordings(
+    parts: Sequence[Path],
+    topics: Mapping[str, str],
+    output: str | Path,
+    facts: Mapping[str, Any],
+    inputs: Iterable[str | Path] = (),
+) -> None:
+    """Join recordings of the same topics into one, in this order and without unpacking them.
+
+    Parameters
+    ----------
+    parts
+        Finished `.mcap` files that all declared `topics`, as :meth:`Recording.declare` does; the
+        first one holds the facts.
+    topics
+        Types of the topics by name.
+    output, inputs
+        As for :class:`Recording`.
+    facts
+        Facts for `metadata.yaml`.
+    """
+    refuse_inputs(output, inputs)
+    folder = Path(output).suffix != '.mcap'
+    try:
+        with replacing(output) as place:
+            if folder:
+                place.mkdir()
+            name = name_in_folder(Path(output))
+            found = join_files(parts, place / name if folder else place, LIBRARY)
+            if folder:
+                counts = {
+                    key: found.channel_message_counts.get(number, 0)
+                    for number, key in enumerate(topics.items(), 1)
+                }
+                extent = (found.message_start_time, found.message_end_time)
+                write_metadata(place, name, counts, extent, facts)
+    except OSError as error:
+        raise InputError(f'{output}: cannot be written ({error.strerror or error})') from error
+
+
+def name_in_folder(folder: Path) -> str:
+    """Return the name of the file in a rosbag2 folder."""
+    return f'{folder.resolve().name}_0.mcap'
+
+
+def refuse_inputs(output: str | Path, inputs: Iterable[str | Path]) -> None:
+    """Raise an InputError where the output is one of the inputs."""
+    if any(Path(output).resolve() == Path(other).resolve() for other in inputs):
+        raise InputError(f'{output}: is the input itself; choose another output')
+
+
+def write_metadata(
+    folder: Path, file: str, topics: Topics, extent: tuple[int, int], facts: Mapping[str, Any]
+) -> None:
+    """Write the `metadata.yaml` of a folder with one file.
+
+    Parameters
+    ----------
+    extent
+        Log times of the first and the last message [ns]; any where there is no message.
+    """
+    count = sum(topics.values())
+    start, end = extent if count else (0, 0)
+    span = {
+        'starting_time': {'nanoseconds_since_epoch': start},
+        'duration': {'nanoseconds': end - start},
+        'message_count': count,
+    }
+    content = {
+        'rosbag2_bagfile_information': {
+            'version': METADATA_VERSION,
+            'storage_identifier': 'mcap',
+            **span,
+            'topics_with_message_count': [
+                {
+                    'topic_metadata': {
+                        'name': topic,
+                        'type': name,
+                        'serialization_format': 'cdr',
+                        'offered_qos_profiles': [],
+                        'type_description_hash':
+                            OFFLINE.type_hash(name) if OFFLINE.knows(name) else '',
+                    },
+                    'message_count': number,
+                }
+                for (topic, name), number in topics.items()
+                if number
+            ],
+            'compression_format': '',
+            'compression_mode': '',
+            'relative_file_paths': [file],
+            'files': [{'path': file, **copy.deepcopy(span)}],
+            'custom_data': {key: str(value) for key, value in facts.items()} or None,
+            'ros_distro': 'jazzy',
+        }
+    }
+    text = yaml.safe_dump(content, sort_keys=False)
+    (folder / 'metadata.yaml').write_text(text, encoding='utf-8')

@@ -68,6 +68,16 @@ def add_vehicle(parser: argparse.ArgumentParser, required: bool = True) -> None:
     )
 
 
+def add_bags(parser: argparse.ArgumentParser) -> None:
+    """Add BAG, one recording or several that are one run."""
+    parser.add_argument(
+        'bag',
+        metavar='BAG',
+        nargs='+',
+        help='a rosbag2 folder, or an .mcap or .db3 file; several are read as one run',
+    )
+
+
 def add_output(parser: argparse.ArgumentParser, metavar: str, help: str) -> None:
     """Add --output, required."""
     parser.add_argument('--output', metavar=metavar, required=True, help=help)
@@ -164,8 +174,10 @@ def track(args: argparse.Namespace) -> Track:
     return track
 
 
-def model(args: argparse.Namespace) -> tuple[Track, Mesh]:
+def model(args: argparse.Namespace, usual: Mesh | None = None) -> tuple[Track, Mesh]:
     """Return the track of the arguments with its model options applied, and the mesh.
+
+    What the options leave open is as in the usual mesh.
 
     Raises
     ------
@@ -179,7 +191,8 @@ def model(args: argparse.Namespace) -> tuple[Track, Mesh]:
         'elements_per_bay': args.elements_per_bay,
         'elements_per_pad': args.elements_per_pad,
     }
-    return track(args), Mesh(**{key: value for key, value in chosen.items() if value is not None})
+    given = {key: value for key, value in chosen.items() if value is not None}
+    return track(args), dataclasses.replace(usual or Mesh(), **given)
 
 
 def progress(total: float | None, unit: str, description: str) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from pathlib import Path
 
 from railtrack_ros.cli import common
 from railtrack_ros.cli.main import Outcome
@@ -20,7 +21,7 @@ EXAMPLE = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
-    parser.add_argument('bag', metavar='BAG', help='a rosbag2 folder, or an .mcap or .db3 file')
+    common.add_bags(parser)
     common.add_track(parser)
     common.add_vehicle(parser)
     common.add_output(parser, 'OUT.mcap', 'recording of inputs and results; a folder for rosbag2')
@@ -37,6 +38,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         '--speed-topic', metavar='TOPIC', help='speed (default: speed, or the only one)'
+    )
+    parser.add_argument(
+        '--report', metavar='FILE.html', help='also a page on what stands out along the track')
+    parser.add_argument(
+        '--jobs',
+        type=common.count(0),
+        default=1,
+        metavar='N',
+        help='processes that share the work, each a part of the run with a warm-up before it; '
+        '0: one for each core (default 1)',
     )
     add_settings(parser, EstimatorSettings, 'estimator', without=['start_position'])
     add_settings(parser, IndicatorSettings, 'sections', names={'section_length': 'section'})
@@ -59,9 +70,15 @@ def run(args: argparse.Namespace) -> Outcome:
             settings_from(argparse.Namespace(**{**vars(args), 'start_position': None}),
                           EstimatorSettings),
             settings_from(args, IndicatorSettings),
-            args.start_position, args.acceleration_topic, args.speed_topic, show,
+            args.start_position, args.acceleration_topic, args.speed_topic, show, args.jobs,
         )  # fmt: skip
+    if args.report:
+        from railtrack_ros.runs.estimate_report import write_estimate_report
+
+        write_estimate_report(args.report, Path(args.bag[0]).name, found, track, vehicle,
+                              settings_from(args, IndicatorSettings))
     elapsed = time.perf_counter() - begin
     summary = {'output': args.output, **found.summary(), 'elapsed_s': elapsed}
     speed = f'{found.duration / elapsed:.1f} times real time'
-    return Outcome(summary, [*found.lines(), f'written: {args.output} ({speed})'], found.defects)
+    written = ', '.join(filter(None, (args.output, args.report)))
+    return Outcome(summary, [*found.lines(), f'written: {written} ({speed})'], found.defects)

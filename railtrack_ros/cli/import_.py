@@ -23,18 +23,35 @@ EXAMPLE = (
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
     number = common.number
-    parser.add_argument('file', metavar='FILE', help='a .csv, .npz or .mat file')
+    parser.add_argument('file', metavar='FILE', help='a .csv, .npz, .mat, .h5 or .tdms file')
     parser.add_argument(
         '--channels',
         metavar='A,B',
         required=True,
         help='columns with vertical acceleration, up positive, gravity removed: names of axle '
-        'boxes, or COLUMN=NAME to rename; name[0], name[1], ... are the columns of an array',
+        'boxes, or COLUMN=NAME to rename; name[0], name[1], ... are the columns of an array, '
+        'GROUP/NAME an array in a group',
     )
     parser.add_argument(
         '--acceleration-unit', choices=('m/s2', 'g'), default='m/s2', help='(default m/s2)'
     )
-    base = parser.add_argument_group('time base, one of')
+    sensors = parser.add_argument_group('sensors')
+    sensors.add_argument(
+        '--sensitivity', metavar='S|NAME=S,...',
+        help='number in the file per acceleration unit, for all channels or by name '
+        '(such as 0.01 for volts of a sensor with 10 mV/g, with --acceleration-unit g)')
+    sensors.add_argument(
+        '--offset', metavar='X|NAME=X,...', help='number in the file at rest (default 0)')
+    sensors.add_argument(
+        '--invert', metavar='NAME,...', help='channels with down positive, or all')
+    sensors.add_argument(
+        '--undo-high-pass', metavar='HZ[:ORDER[:LOWEST]]',
+        help='undo the Butterworth high-pass of the sensor chain (order 1 unless given) down to '
+        'LOWEST Hz (a tenth of HZ unless given)')
+    sensors.add_argument(
+        '--decimate', type=common.count(), default=1, metavar='N',
+        help='keep one of N samples, after an anti-aliasing filter')
+    base = parser.add_argument_group('time base, one of (a .tdms file may tell its own)')
     base.add_argument('--sample-rate', type=number(POSITIVE), metavar='HZ')
     base.add_argument('--time-column', metavar='C', help='time, s')
     base.add_argument(
@@ -54,12 +71,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> Outcome:
     """Write the recording."""
-    from railtrack_ros.bags.importers import ImportSettings, import_measurement, parse_channels
+    from railtrack_ros.bags.import_settings import (
+        HighPass,
+        ImportSettings,
+        parse_calibration,
+        parse_channels,
+    )
+    from railtrack_ros.bags.importers import import_measurement
 
     if args.position_unit and not args.position_column:
         raise InputError('--position-unit needs a --position-column')
+    channels = parse_channels(args.channels)
     settings = ImportSettings(
-        channels=parse_channels(args.channels),
+        channels=channels,
+        calibration=parse_calibration(
+            list(channels.values()), args.sensitivity, args.offset, args.invert),
+        undo_high_pass=HighPass.parse(args.undo_high_pass) if args.undo_high_pass else None,
+        decimate=args.decimate,
         acceleration_unit=args.acceleration_unit,
         sample_rate=args.sample_rate,
         time_column=args.time_column,

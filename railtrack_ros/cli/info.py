@@ -19,7 +19,7 @@ EXAMPLE = 'railtrack info run.mcap'
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
-    parser.add_argument('bag', metavar='BAG', help='a rosbag2 folder, or an .mcap or .db3 file')
+    common.add_bags(parser)
     parser.add_argument(
         '--acceleration-topic',
         metavar='TOPIC',

@@ -34,10 +34,12 @@ COMMANDS = {
     'demo': 'the whole story in two minutes: live vehicle and estimator, replay, report',
     'info': 'what a recording holds, and whether it can be estimated',
     'synthesize': 'make a recording of a virtual measurement run, with its truth',
-    'import': 'turn a measurement in CSV, NPZ or MAT form into a recording',
+    'import': 'turn a measurement in CSV, NPZ, MAT, HDF5 or TDMS form into a recording',
     'estimate': 'contact force, deflection and irregularity from a recording',
     'replay': 'the full track model over a recording, compared with the estimator',
+    'compare': 'two results over the same track, aligned by position',
     'play': 'publish a recording on ROS 2 topics, with /clock',
+    'monitor': 'live numbers of an estimator in the terminal',
     'indicators': 'corrugation indicators per section of a recording',
     'simulate': 'a forward run of wheels over a track with a given irregularity',
     'receptance': 'point and cross receptance of a track',
@@ -46,6 +48,7 @@ COMMANDS = {
     'resonances': 'resonances of a track, found and named',
     'figures': 'every figure of the thesis, computed again',
     'benchmark': 'measure the speed figures on this machine',
+    'cache': 'tables kept on disk: how many, how large; remove them',
 }
 
 FAILED = 1

@@ -21,12 +21,13 @@ EXAMPLE = (
 )
 # Options of these names are the full model's; the start position has an option of its own.
 NOT_OF_THE_ESTIMATOR = ('start_position', 'elements_per_bay', 'local_system')
+SECTIONS = Range(minimum=1.0, maximum=1000.0)
 MICROSECONDS = Range(minimum=1.0, maximum=25.0)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
-    parser.add_argument('bag', metavar='BAG', help='the recording: rosbag2 folder or MCAP file')
+    common.add_bags(parser)
     common.add_track(parser)
     common.add_vehicle(parser)
     parser.add_argument('--start-position', type=common.number(), metavar='M',
@@ -47,6 +48,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         'only one)')
     parser.add_argument('--speed-topic', metavar='TOPIC',
                         help='speed (default: speed, or the only one)')
+    parser.add_argument('--section', type=common.number(SECTIONS), default=10.0, metavar='M',
+                        help='length of the sections that errors are summed up over (default 10)')
+    parser.add_argument('--model-track', metavar='T',
+                        help='track of the full model, which may be uneven and non-linear '
+                        '(default: that of --track)')
     common.add_model_options(parser)
     add_settings(parser, EstimatorSettings, 'estimator', without=NOT_OF_THE_ESTIMATOR)
 
@@ -71,19 +77,18 @@ def run(args: argparse.Namespace) -> Outcome:
     from railtrack_ros.vehicle.description import load_vehicle
 
     stretch = Stretch(args.begin, args.end)
-    model_track, mesh = common.model(args)
+    chosen = {**vars(args), 'track': args.model_track or args.track}
     given = {**vars(args), **dict.fromkeys(NOT_OF_THE_ESTIMATOR)}
     settings = settings_from(argparse.Namespace(**given), EstimatorSettings)
+    model_track, mesh = common.model(argparse.Namespace(**chosen), settings.mesh)
     with open_bag(args.bag) as bag:
         duration = (bag.end_time - bag.start_time) / SECOND
-    with (common.progress(duration, 's', 'estimate') as estimating,
-          common.progress(1.0, '', 'full model') as driving):
+    with common.progress(duration, 's', 'replay') as bar:
         result = replay_recording(
             args.bag, load_track(args.track), load_vehicle(args.vehicle), args.output, stretch,
             start_position=args.start_position, settings=settings, model_track=model_track,
             mesh=mesh, longest_step=1e-6 * args.time_step,
             acceleration_topic=args.acceleration_topic, speed_topic=args.speed_topic,
-            estimating=lambda seconds: estimating.update(seconds - estimating.n),
-            driving=lambda share: driving.update(share - driving.n))
+            progress=lambda seconds: bar.update(seconds - bar.n), section_length=args.section)
     return Outcome(result.summary, [*result.report.findings, f'report: {args.output}/report.html'],
                    result.notes)

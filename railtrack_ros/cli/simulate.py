@@ -65,6 +65,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     newmark.add_argument('--iteration', choices=('newton', 'fixed'), default='newton',
                          help='newton: exact Jacobian (default); fixed: the constant matrix of the '
                          'track, contact forces on the right-hand side')
+    online = parser.add_argument_group('solvers irf and recursive')
+    online.add_argument('--hold', choices=('trapezoidal', 'linear'),
+                        help="trapezoidal: the full model's time integration (default); linear: "
+                        'exact exponentials for forces that are linear within a time step, for '
+                        'coarse steps')
+    online.add_argument('--memory', type=number(POSITIVE), metavar='S',
+                        help='irf: length of the impulse responses (default 0.1)')
+    online.add_argument('--cut-off', type=number(POSITIVE), metavar='HZ',
+                        help='recursive: poles up to here are kept one by one (default 6000)')
+    online.add_argument('--bays-in-ring', type=common.count(3), metavar='N',
+                        help='recursive: bays of the periodic track (default: as many as its waves '
+                        'need)')
     common.add_output(parser, 'CSV', ', '.join(COLUMNS))
     common.add_model_options(parser)
 
@@ -78,6 +90,7 @@ def run(args: argparse.Namespace) -> Outcome:
         ForwardRun,
         ForwardSettings,
         NewmarkOptions,
+        OnlineOptions,
         constant_speed,
         read_speed,
     )
@@ -93,7 +106,8 @@ def run(args: argparse.Namespace) -> Outcome:
         solver=args.solver, speed=speed, start=args.start, time_step=args.time_step,
         distance=args.distance, irregularity=tuple(map(read_part, args.irregularity)),
         newmark=NewmarkOptions(args.margin, args.newmark_beta, args.newmark_gamma, args.tolerance,
-                               args.iteration)))
+                               args.iteration),
+        online=OnlineOptions(args.hold, args.memory, args.cut_off, args.bays_in_ring)))
 
     statistics = _Statistics(len(vehicle.axle_boxes))
     failure = None
@@ -153,7 +167,7 @@ def _newmark(forward: ForwardRun) -> dict[str, Any]:
     """What the summary says of the full model's time integration."""
     settings, (most, most_support) = forward.settings, forward.most_iterations
     if settings.solver != 'newmark':
-        return {}
+        return {'hold': settings.online.hold or 'trapezoidal'}
     found = {'most_iterations': most, 'tolerance': settings.newmark.tolerance,
              'iteration': settings.newmark.iteration, 'newmark_beta': settings.newmark.beta,
              'newmark_gamma': settings.newmark.gamma}

@@ -37,6 +37,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         metavar='WAVELENGTH:AMPLITUDE:FROM:TO[:RAIL]',
                         help='a sinusoidal stretch, all in metres, on both rails or on the left or '
                         'right one; can be given several times')
+    parser.add_argument('--irregularity', action='append', default=[], metavar='PART',
+                        help='a further part, all in metres: joint:AT:DEPTH:LENGTH, '
+                        'flat:LENGTH:DEPTH[:AXLE_BOX], sine:WAVELENGTH:AMPLITUDE or a CSV file; '
+                        'can be given several times')
     parser.add_argument('--noise', type=number(NOT_NEGATIVE), default=0.3, metavar='RMS',
                         help='white noise of the accelerometers, m/s2 rms (default 0.3)')
     parser.add_argument('--sample-rate', type=number(POSITIVE), default=25600.0, metavar='HZ',
@@ -50,6 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> Outcome:
     """Write the recording."""
+    from railtrack_ros.irregularity.surface import read_part
     from railtrack_ros.runs.synthesize import synthesize
     from railtrack_ros.runs.virtual_run import Corrugation, RunSettings
     from railtrack_ros.track.description import load_track
@@ -59,6 +64,7 @@ def run(args: argparse.Namespace) -> Outcome:
         duration=args.duration, speed=args.speed, acceleration=args.acceleration,
         start_position=args.start_position, roughness=args.roughness,
         corrugations=tuple(Corrugation.parse(text) for text in args.corrugation),
+        irregularity=tuple(read_part(text) for text in args.irregularity),
         noise=args.noise, sample_rate=args.sample_rate, block=args.block, seed=args.seed)
     track, vehicle = load_track(args.track), load_vehicle(args.vehicle)
     with common.progress(args.duration, 's', 'virtual run') as bar:

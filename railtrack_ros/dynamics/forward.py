@@ -60,7 +60,7 @@ class StepFailure(InputError):
         self.result = result
 
 
-def check_setup(offsets: Sequence[float], time_step: float) -> Array:
+def check_setup(offsets: Sequence[float] | Array, time_step: float) -> Array:
     """Return the wheels' offsets [m] as an array (wheels,).
 
     Raises

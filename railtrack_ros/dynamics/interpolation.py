@@ -43,16 +43,20 @@ def shape_table(bay: Bay) -> ShapeTable:
     change = np.any(np.diff(table.dofs, axis=0) != 0, axis=1)
     element = np.concatenate([[0], np.cumsum(change)]).astype(np.int64)
     first = np.concatenate([[0], np.flatnonzero(change) + 1])
-    cells = np.linspace(0.0, bay.spacing, 8 * len(table.breaks), endpoint=False)
-    guess = np.clip(np.searchsorted(table.breaks, cells, side='right') - 1,
-                    0, len(table.breaks) - 2)
     return ShapeTable(
         start=bay.start, spacing=bay.spacing, breaks=table.breaks,
-        guess=guess.astype(np.int64), element=element,
+        guess=first_guess(table.breaks, bay.spacing), element=element,
         dofs=np.ascontiguousarray(table.dofs[first]),
         coefficients=np.ascontiguousarray(table.coefficients),
         flexibility=np.ascontiguousarray(table.flexibility),
     )
+
+
+def first_guess(breaks: Array, spacing: float) -> NDArray[np.int64]:
+    """Interval at or before the beginning of each of many equal cells of a bay."""
+    cells = np.linspace(0.0, spacing, 8 * len(breaks), endpoint=False)
+    guess = np.clip(np.searchsorted(breaks, cells, side='right') - 1, 0, len(breaks) - 2)
+    return guess.astype(np.int64)
 
 
 def shape_tables(bays: Sequence[Bay]) -> ShapeTable:

@@ -5,7 +5,12 @@
 h is the answer of the discrete full model to a unit nodal force that lasts one time step, so the
 sum repeats Newmark's result for any support and local system; what remains is the end of the
 memory.  Between the force's element and the wheel's only the difference in bays matters: the
-responses of one bay serve the whole track, at any speed profile.
+responses of one bay serve the whole track, at any speed profile.  With the hold `linear` h is
+instead the exact answer of the modes of the ring to a force that rises and falls linearly within
+two time steps (`recursion`).
+
+At a constant speed the wheel meets its own impulse always at the same distance behind it, and
+h, N and N^T shrink to the moving impulse response h_m(x, t) = N(x + v t) h(t) N(x)^T    (4.5-4.8).
 """
 
 from __future__ import annotations
@@ -18,10 +23,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from railtrack_ros.compiled import njit
+from railtrack_ros.dynamics import (
+    cache,
+    newmark,
+    newmark_kernel,
+    recursion,
+    window,
+)
+from railtrack_ros.dynamics import (
+    modes as ring_modes,
+)
 from railtrack_ros.dynamics.contact import contact_step, standing_wheels, wheel_constants
 from railtrack_ros.dynamics.forward import ForwardResult, StepFailure, check_run, check_setup
 from railtrack_ros.dynamics.interpolation import cubic, locate, shape_table
+from railtrack_ros.dynamics.modes import make_track_modes, ring_length
 from railtrack_ros.dynamics.newmark import nodal_impulse_responses
+from railtrack_ros.dynamics.recursion import step_of
 from railtrack_ros.errors import InputError
 from railtrack_ros.track.bay import Bay
 from railtrack_ros.vehicle.description import Vehicle
@@ -31,6 +48,85 @@ Indices = NDArray[np.int64]
 
 MEMORY = 0.1
 """Length of the impulse responses [s] unless given: beyond it 0.1 % of the deflection is left."""
+
+
+HOLDS = ('trapezoidal', 'linear')
+
+# All poles up to here are in the responses of the hold `linear` [Hz]; the others act at once.
+MAXIMUM_FREQUENCY = 12000.0
+
+
+def element_impulse_responses(bay: Bay, time_step: float, steps: int, reach: int,
+                              hold: str = 'trapezoidal') -> Array:
+    """h (nb, nb, reach + 1, steps) [m/N]: degree of freedom of force, of response, bays ahead, age.
+
+    Kept on disk in single precision.  hold: `trapezoidal` for the full model's own answer to a
+    force of one time step, `linear` for the exact one to a force that is linear in between.
+    """
+    sources = [module.__file__ for module in (newmark, newmark_kernel, window, ring_modes,
+                                              recursion)] + [__file__]
+    digest = cache.key([str(name) for name in sources], bay.stiffness, bay.damping, bay.mass,
+                       bay.dofs, time_step, steps, reach, hold)
+
+    def compute() -> dict[str, NDArray[np.float32]]:
+        if hold == 'linear':
+            h = _modal_responses(bay, time_step, steps, reach)
+        else:
+            h = nodal_impulse_responses(bay, time_step, steps, reach)[:, :, reach:]
+        return {'h': np.ascontiguousarray(h, dtype=np.float32)}
+
+    return np.asarray(cache.stored('responses', digest, compute)['h'], dtype=float)
+
+
+def _modal_responses(bay: Bay, time_step: float, steps: int, reach: int) -> Array:
+    """The same from the modes of a ring that is long enough, for the hold `linear`."""
+    bays = ring_length(bay, [0.0, reach * bay.spacing])
+    modes = make_track_modes(bay, bays, MAXIMUM_FREQUENCY)
+    step, n = step_of(modes.poles, time_step, 'linear'), bay.dofs
+    age = np.exp(np.outer(modes.poles * time_step, np.arange(steps - 1)))
+    here = np.hstack([modes.first[:n], modes.second[:n]])
+    h = np.empty((n, n, reach + 1, steps))
+    for m in range(reach + 1):
+        cos, sin = np.cos(m * modes.wave_number), np.sin(m * modes.wave_number)
+        there = np.hstack([cos * modes.first[:n] + sin * modes.second[:n],
+                           cos * modes.second[:n] - sin * modes.first[:n]])
+        gains = here[:, None, :] * there[None, :, :]
+        gains = gains[..., :modes.poles.size] + gains[..., modes.poles.size:]
+        h[:, :, m, 0] = (gains @ step.p1).real + modes.remainder[m % bays, :n, :n].T
+        h[:, :, m, 1:] = ((gains * step.gain).reshape(n * n, -1) @ age).real.reshape(n, n, -1)
+    return h
+
+
+def moving_impulse_response(bay: Bay, time_step: float, steps: int, speed: float,
+                            places: ArrayLike, hold: str = 'trapezoidal') -> Array:
+    """h_m (n, steps) [m/N]: deflection under a wheel that moves on from where an impulse was.
+
+    The impulse, 1 N for one time step [s], acts at places (n,) [m]; the wheel is at
+    place + speed * time_step * k in step k.  Its sum with the forces of a wheel at this constant
+    speed is the deflection under the wheel (thesis 4.5, 4.6).
+    """
+    places = np.atleast_1d(np.asarray(places, dtype=float))
+    reach = math.ceil(abs(speed) * time_step * steps / bay.spacing) + 2
+    h = element_impulse_responses(bay, time_step, steps, reach, hold)
+    n = bay.dofs
+    age = np.arange(steps)
+    result = np.empty((places.size, steps))
+    for i, place in enumerate(places):
+        bay_here, inside = bay.locate([place])
+        source = bay.shape(inside)[0]
+        bays, insides = bay.locate(place + speed * time_step * age)
+        shapes = bay.shape(insides)
+        result[i] = 0.0
+        for s, weight in enumerate(source):
+            if weight == 0.0:
+                continue
+            for r in np.flatnonzero(np.any(shapes != 0.0, axis=0)):
+                apart = bays + r // n - bay_here[0] - s // n
+                ahead = h[s % n, r % n, np.maximum(apart, 0), age]
+                back = h[r % n, s % n, np.maximum(-apart, 0), age]
+                result[i] += weight * shapes[:, r] * np.where(apart >= 0, ahead, back)
+        result[i, 0] += bay.flexibility(inside)[0]
+    return result
 
 
 class History(NamedTuple):
@@ -160,16 +256,18 @@ class IrfForward:
 
     Same use and results as `newmark.FullModel`.  Parameters: bay; vehicle (wheel and contact are
     used); offsets of the wheels from the reference point [m]; time_step [s]; start_position [m],
-    where the wheels have stood at the first sample; memory [s].  Raises InputError.
+    where the wheels have stood at the first sample; memory [s]; hold.  Raises InputError.
     """
 
     def __init__(self, bay: Bay, vehicle: Vehicle, offsets: Sequence[float], time_step: float,
-                 start_position: float, memory: float = MEMORY) -> None:
+                 start_position: float, memory: float = MEMORY, hold: str = 'trapezoidal') -> None:
         self.offsets = check_setup(offsets, time_step)
         if not memory >= 10.0 * time_step:
             raise InputError(f'memory: {memory:g} s is too short, at least ten time steps '
                              f'({10.0 * time_step:g} s) are needed')
-        self.bay = bay
+        if hold not in HOLDS:
+            raise InputError(f'hold {hold!r}: expected one of ' + ', '.join(HOLDS))
+        self.bay, self.hold = bay, hold
         self.time_step = float(time_step)
         self.start_position = float(start_position)
         self.memory = math.ceil(memory / time_step)
@@ -229,8 +327,9 @@ class IrfForward:
         spans = [np.ptp(position[edges[i]:edges[min(i + 2, blocks)]]) for i in range(blocks)]
         reach = math.ceil((max(spans) + np.ptp(self.offsets)) / self.bay.spacing) + 2
         if reach >= self._responses.shape[2]:
-            both = nodal_impulse_responses(self.bay, self.time_step, self.memory, reach)
-            self._responses = np.ascontiguousarray(both[:, :, reach:])
+            # A few lengths serve all runs.
+            self._responses = element_impulse_responses(
+                self.bay, self.time_step, self.memory, -(-reach // 8) * 8, self.hold)
 
     def _stand(self, position: float) -> Array:
         """Fill the memory with wheels standing at `position`; returns their deflection (n,)."""

@@ -37,6 +37,8 @@ ComplexArray = NDArray[np.complex128]
 OSCILLATORS = (1.1, 1.8)
 DAMPING_RATIO = 0.25
 
+LOWEST_CUT_OFF = 500.0  # Hz
+
 
 @dataclass(frozen=True)
 class TrackModes:
@@ -129,6 +131,9 @@ def make_track_modes(bay: Bay, bays: int = 61, maximum_frequency: float = 5000.0
     """
     if bays < 3:
         raise InputError(f'bays in the ring: {bays} is too few, at least 3 are needed')
+    if not maximum_frequency >= LOWEST_CUT_OFF:
+        raise InputError(f'cut-off of the poles: {maximum_frequency:g} Hz is too low, expected at '
+                         f'least {LOWEST_CUT_OFF:g} Hz')
     digest = cache.key([__file__], bay.stiffness, bay.damping, bay.mass, bay.dofs, bays,
                        maximum_frequency)
     arrays = cache.stored('modes', digest, lambda: _compute(bay, bays, maximum_frequency))

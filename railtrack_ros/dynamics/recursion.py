@@ -19,18 +19,21 @@ linear: exact for forces that are linear within a step;
 corrected: the same through points f - (second difference of f) / 12.  A line through samples of
 a wave loses sinc^2(f dt) of it; this gives back all but the fourth power of (omega dt).  The force
 of the present sample is taken as it is until its successor is known.
+
+The loops take the modes CHUNK by CHUNK, through a whole batch of samples where the forces are
+known beforehand, so that what a chunk needs stays in the processor's nearest cache.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from railtrack_ros.compiled import njit
-from railtrack_ros.dynamics.interpolation import ShapeTable, locate
+from railtrack_ros.dynamics.interpolation import ShapeTable, first_guess, interval_at, locate
 from railtrack_ros.dynamics.modes import ComplexArray, TrackModes
 from railtrack_ros.errors import InputError
 
@@ -52,11 +55,6 @@ class Step(NamedTuple):
         """p0 + e p1, the share of a force in what it leaves behind."""
         return np.asarray(self.p0 + self.e * self.p1)
 
-    @property
-    def present(self) -> ComplexArray:
-        """k, the share of the present force over `gain`."""
-        return np.asarray(self.p1 / self.gain)
-
 
 def step_of(poles: ComplexArray, time_step: float, hold: str) -> Step:
     """Coefficients for poles (p,) [1/s] and a time step [s]."""
@@ -76,38 +74,44 @@ def step_of(poles: ComplexArray, time_step: float, hold: str) -> Step:
 class Model(NamedTuple):
     """What the loops know of the track at one time step; nothing of it changes.
 
-    shape_re, shape_im (nb + 2, 2p): c at the degrees of freedom of bay 0, all g1 before all g2;
-    cos, sin (bays, p): their turn in bay m.  e, k re and im (2p,).  Oscillators (2,) at every
-    degree of freedom of an element for the poles that are not kept: oe (2,) and out
-    (elements, 2, k, k).  present (m, 7): sum of present[i, n] s^n is what they and F(x) do at once
-    in interval i.  remainder (bays, nb + 2, nb + 2): static, between wheels.
-    corrected: whether the forces are.
+    Modes are arranged in rows (..., chunks, modes), all g1 before all g2, filled up with zeros.
+    breaks, guess: pieces of a bay, as in `interpolation.ShapeTable`.  first, second re and im
+    (pieces, 4, ...): c in bay 0, cubics in s, and what the turn to another bay adds, cos(q m)
+    first + sin(q m) second; cos, sin (bays, ...).  e re and im (...).
+    Oscillators for the poles that are not kept, two at each of the k degrees of freedom of an
+    element and filled up to l: oe (l,); out (m, 4, l), cubics of interval m of the bay, is their
+    share in the deflection.  nodes: degrees of freedom of a bay.
     """
 
-    shape_re: Array
-    shape_im: Array
+    breaks: Array
+    guess: Indices
+    first_re: Array
+    first_im: Array
+    second_re: Array
+    second_im: Array
     cos: Array
     sin: Array
     e_re: Array
     e_im: Array
-    k_re: Array
-    k_im: Array
     oe_re: Array
     oe_im: Array
     out_re: Array
     out_im: Array
-    present: Array
-    remainder: Array
+    nodes: int
     corrected: bool
 
 
 class State(NamedTuple):
     """What a run carries from step to step, for `wheels` wheels on each of `lines` rails.
 
-    r (lines, 2p); oscillators o (lines, wheels, 2, k); the last samples: place (wheels,) [m] and
-    force (lines, wheels, 2), newest first.  All else follows from them: source (wheels, k, 2p),
-    shapes of the element at (bay, element) home (wheels, 2); weight (wheels, k) N(x);
-    c (wheels, 2p).  The rest is scratch: the loops do not allocate.
+    r (lines, chunks, modes); oscillators o (lines, wheels, l); place of the reference point (1,)
+    [m] and force (lines, wheels, 2) at the last samples, newest first.  All else follows from
+    them: home (wheels, 3), bay, element and piece; source (wheels, 4, chunks, modes), the
+    cubics there; c (wheels, chunks, modes); weight (wheels, k) N(x).
+    The rest is scratch, for BATCH samples: the loops do not allocate.  fresh (BATCH, wheels, 2):
+    bay and piece that a wheel comes to in a sample, or NOWHERE; local (BATCH, wheels): s;
+    last (BATCH, lines, wheels): forces of the last sample as the hold takes them; free (BATCH,
+    lines, wheels).
     """
 
     r_re: Array
@@ -116,115 +120,115 @@ class State(NamedTuple):
     o_im: Array
     place: Array
     force: Array
+    home: Indices
     source_re: Array
     source_im: Array
-    home: Indices
-    weight: Array
     c_re: Array
     c_im: Array
     spare_re: Array
     spare_im: Array
-    d_re: Array
-    d_im: Array
+    weight: Array
+    fresh: Indices
+    local: Array
     last: Array
     free: Array
-    present: Array
 
 
 SAVED = ('r_re', 'r_im', 'o_re', 'o_im', 'place', 'force')
+
+LINE = 64  # bytes in a cache line
+CHUNK = 256  # modes worked off at a time, at most
+BATCH = 128  # samples worked off at a time
+NOWHERE = -2**40  # number of a bay far from any other
+PIECES = 48  # of a bay, at least, in which the shape of a mode is a cubic
+NODES = np.array([0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0])  # where these pass through it
 
 
 def make_model(modes: TrackModes, time_step: float, hold: str) -> Model:
     """Tables of the loops for a time step [s]; raises InputError for an unknown hold."""
     step = step_of(modes.poles, time_step, hold)
-    width = -(-modes.poles.size // LINE) * LINE
-    padding = width - modes.poles.size
+    count = 2 * modes.poles.size
+    chunks = -(-count // CHUNK)
+    row = chunks, -(-count // (16 * chunks)) * 16
 
-    def pair(first: ComplexArray, second: ComplexArray) -> tuple[Array, Array]:
-        fill = np.zeros((*first.shape[:-1], padding))
-        return _padded(np.concatenate([first, fill, second], axis=-1), 2 * width)
+    def arranged(values: NDArray[Any]) -> Array:
+        room = _zeros(*values.shape[:-1], *row)
+        room.reshape(*values.shape[:-1], -1)[..., :count] = values
+        return room
+
+    def parts(values: ComplexArray) -> tuple[Array, Array]:
+        return arranged(values.real), arranged(values.imag)
 
     root = np.sqrt(step.gain)
-    angle = np.outer(np.arange(modes.bays), np.append(modes.wave_number, np.zeros(padding)))
-    table = modes.table
+    angle = np.tile(np.outer(np.arange(modes.bays), modes.wave_number), 2)
     o = step_of(modes.oscillators, time_step, hold)
-    pairs = modes.amplitude[:, table.dofs[:, :, None], table.dofs[:, None, :]]
-    out = np.moveaxis(o.gain[:, None, None, None] * pairs, 0, 1)
-    at_once = np.tensordot(o.p1, pairs, 1).real[table.element]
-    present = _products(table.coefficients, np.asarray(at_once, dtype=float))
-    present[:, :4] += table.flexibility
+    dofs, cubics = modes.table.dofs, modes.table.coefficients
+    elements, k = dofs.shape
+    breaks, guess = _pieces(modes.table)
+    x = breaks[:-1, None] + NODES * np.diff(breaks)[:, None]
+    fit = np.linalg.inv(NODES[:, None] ** np.arange(4))
+    shape = fit @ modes.bay.shape(x.ravel()).reshape(*x.shape, -1)
+    first, second = shape @ (modes.first * root), shape @ (modes.second * root)
+    out = np.zeros((2, elements, k, -(-2 * k // 8) * 8))
+    pairs = o.gain[:, None, None, None] * modes.amplitude[:, dofs[:, :, None], dofs[:, None, :]]
+    oe = np.zeros((2, out.shape[-1]))
+    for i in range(2):
+        own = slice(i * k, (i + 1) * k)
+        out[0, :, :, own], out[1, :, :, own] = pairs[i].real, pairs[i].imag
+        oe[0, own], oe[1, own] = o.e[i].real, o.e[i].imag
+    shares = np.ascontiguousarray(
+        np.einsum('mjc,rmji->rmci', cubics, out[:, modes.table.element]))
     return Model(
-        *pair(modes.first * root, modes.second * root), np.cos(angle), np.sin(angle),
-        *pair(step.e, step.e), *pair(step.present, step.present), *_parts(o.e), *_parts(out),
-        present, modes.remainder, hold == 'corrected')
+        breaks, guess, *parts(np.dstack([first, second])), *parts(np.dstack([second, -first])),
+        arranged(np.cos(angle)), arranged(np.sin(angle)), *parts(np.tile(step.e, 2)),
+        oe[0], oe[1], shares[0], shares[1], modes.bay.dofs,
+        hold == 'corrected')
 
 
-def _products(cubics: Array, matrix: Array) -> Array:
-    """Polynomials (m, 7) of N^T A N, cubics (m, k, 4) and A (m, k, k)."""
-    square = np.einsum('mic,mij,mjd->mcd', cubics, matrix, cubics)
-    result = np.zeros((len(square), 7))
-    for c in range(4):
-        result[..., c:c + 4] += square[..., c, :]
-    return result
+def _pieces(table: ShapeTable) -> tuple[Array, Indices]:
+    """Breaks and guess of pieces of a bay, at least PIECES: elements and equal parts of them."""
+    ends = table.breaks[np.flatnonzero(np.diff(table.element, prepend=-1, append=-1))]
+    parts = np.ceil(np.diff(ends) / table.spacing * PIECES - 1e-6).astype(int)
+    breaks = np.concatenate([np.linspace(a, b, n, endpoint=False) for a, b, n in zip(
+        ends[:-1], ends[1:], parts, strict=True)] + [ends[-1:]])
+    return breaks, first_guess(breaks, table.spacing)
 
 
-def _parts(x: ComplexArray) -> tuple[Array, Array]:
-    return np.ascontiguousarray(x.real), np.ascontiguousarray(x.imag)
-
-
-LINE = 8  # numbers in a cache line
-
-
-def _zeros(*shape: int) -> Array:
+def _zeros(*shape: int, dtype: Any = np.float64) -> NDArray[Any]:
     """Zeros at the beginning of a cache line: vectors that straddle lines cost twice."""
-    room = np.zeros(math.prod(shape) + LINE)
-    first = -(room.ctypes.data // room.itemsize) % LINE
+    room = np.zeros(math.prod(shape) + LINE, dtype)
+    first = -room.ctypes.data % LINE // room.itemsize
     return room[first:first + math.prod(shape)].reshape(shape)
-
-
-def _padded(x: ComplexArray, width: int) -> tuple[Array, Array]:
-    """Real and imaginary part, their rows filled up with zeros and aligned."""
-    parts = _zeros(*x.shape[:-1], width), _zeros(*x.shape[:-1], width)
-    parts[0][..., :x.shape[-1]], parts[1][..., :x.shape[-1]] = x.real, x.imag
-    return parts
 
 
 def make_state(model: Model, table: ShapeTable, wheels: int, lines: int = 1) -> State:
     """The rail at rest and unloaded."""
-    q, k = model.e_re.size, table.dofs.shape[1]
+    row, k, oscillators = model.e_re.shape, table.dofs.shape[1], model.oe_re.size
     return State(
-        r_re=_zeros(lines, q), r_im=_zeros(lines, q),
-        o_re=np.zeros((lines, wheels, 2, k)), o_im=np.zeros((lines, wheels, 2, k)),
-        place=np.zeros(wheels), force=np.zeros((lines, wheels, 2)),
-        source_re=_zeros(wheels, k, q), source_im=_zeros(wheels, k, q),
-        home=np.full((wheels, 2), np.iinfo(np.int64).min), weight=np.zeros((wheels, k)),
-        c_re=_zeros(wheels, q), c_im=_zeros(wheels, q),
-        spare_re=np.zeros((2, k)), spare_im=np.zeros((2, k)),
-        d_re=_zeros(lines, q), d_im=_zeros(lines, q), last=np.zeros((lines, wheels)),
-        free=np.zeros((lines, wheels)), present=np.zeros(wheels))
+        r_re=_zeros(lines, *row), r_im=_zeros(lines, *row),
+        o_re=_zeros(lines, wheels, oscillators), o_im=_zeros(lines, wheels, oscillators),
+        place=np.zeros(1), force=np.zeros((lines, wheels, 2)),
+        home=np.full((wheels, 3), NOWHERE),
+        source_re=_zeros(wheels, 4, *row), source_im=_zeros(wheels, 4, *row),
+        c_re=_zeros(wheels, *row), c_im=_zeros(wheels, *row),
+        spare_re=np.zeros(oscillators), spare_im=np.zeros(oscillators),
+        weight=np.zeros((wheels, k)), fresh=np.full((BATCH, wheels, 2), NOWHERE),
+        local=np.zeros((BATCH, wheels)), last=np.zeros((BATCH, lines, wheels)),
+        free=np.zeros((BATCH, lines, wheels)))
 
 
-def settle(model: Model, table: ShapeTable, state: State, position: Array, force: Array) -> None:
-    """Let constant upward forces (lines, wheels) [N] at (wheels,) [m] have acted for ever."""
-    state.place[:], state.force[:] = position, force[:, :, None]
-    resume(model, table, state)
-    drive = force @ (state.c_re + 1j * state.c_im)
+def settle(model: Model, state: State, force: Array) -> None:
+    """Let constant upward forces (lines, wheels) [N] have acted for ever where the wheels are."""
+    state.force[:] = force[:, :, None]
+    drive = np.tensordot(force, state.c_re + 1j * state.c_im, 1)
     still = drive / (1.0 - (model.e_re + 1j * model.e_im))
     state.r_re[:], state.r_im[:] = still.real, still.imag
-    still = ((force[:, :, None] * state.weight)[:, :, None, :]
-             / (1.0 - (model.oe_re + 1j * model.oe_im))[:, None])
+    k = state.weight.shape[1]
+    still = np.zeros(state.o_re.shape, dtype=complex)
+    for i in range(2):
+        still[:, :, i * k:(i + 1) * k] = force[:, :, None] * state.weight
+    still /= 1.0 - (model.oe_re + 1j * model.oe_im)
     state.o_re[:], state.o_im[:] = still.real, still.imag
-
-
-@njit(cache=True, nogil=True)
-def resume(model, table, state):
-    """Find what follows from the wheels' last places."""
-    for w in range(state.place.size):
-        bay, interval, s = locate(table, state.place[w])
-        enter(model, table, state, w, bay, table.element[interval])
-        weigh(table.coefficients, interval, s, w, state.weight)
-        combine(state.weight, state.source_re, w, state.c_re)
-        combine(state.weight, state.source_im, w, state.c_im)
 
 
 @njit(cache=True, nogil=True, _nrt=False)
@@ -233,206 +237,179 @@ def used(table, element, k):
     return k == 0 or table.dofs[element, k] != 0
 
 
-@njit(cache=True, nogil=True, fastmath=True, _nrt=False)
-def enter(model, table, state, wheel, bay, element):
-    """Take over the shapes of the element which the wheel has come to, turned to its bay."""
-    m, p = bay % model.cos.shape[0], model.cos.shape[1]
+@njit(cache=True, nogil=True, _nrt=False)
+def enter(table, state, wheel, bay, element, nodes):
+    """Come to another element: its oscillators go on at the nodes that it shares with the last.
+
+    The others are at rest.  nodes: degrees of freedom of a bay.
+    """
     before, width = state.home[wheel, 1], table.dofs.shape[1]
-    ahead = (model.shape_re.shape[0] - 2) * (bay - state.home[wheel, 0])
+    ahead = nodes * (bay - state.home[wheel, 0])
     known = abs(bay - state.home[wheel, 0]) <= 1
-    # Oscillators go on at the nodes that both elements share; the others are at rest there.
     for line in range(state.o_re.shape[0]):
-        for n in range(2):
-            for k in range(width):
-                state.spare_re[n, k], state.spare_im[n, k] = 0.0, 0.0
-                for j in range(width):
-                    if (known and table.dofs[element, k] + ahead == table.dofs[before, j]
-                            and used(table, element, k) and used(table, before, j)):
-                        state.spare_re[n, k] = state.o_re[line, wheel, n, j]
-                        state.spare_im[n, k] = state.o_im[line, wheel, n, j]
-            for k in range(width):
-                state.o_re[line, wheel, n, k] = state.spare_re[n, k]
-                state.o_im[line, wheel, n, k] = state.spare_im[n, k]
-    for k in range(width):
-        dof = table.dofs[element, k]
-        for n in range(p):
-            cos, sin = model.cos[m, n], model.sin[m, n]
-            first, second = model.shape_re[dof, n], model.shape_re[dof, n + p]
-            state.source_re[wheel, k, n] = cos * first + sin * second
-            state.source_re[wheel, k, n + p] = cos * second - sin * first
-            first, second = model.shape_im[dof, n], model.shape_im[dof, n + p]
-            state.source_im[wheel, k, n] = cos * first + sin * second
-            state.source_im[wheel, k, n + p] = cos * second - sin * first
+        state.spare_re[:] = 0.0
+        state.spare_im[:] = 0.0
+        for k in range(width):
+            for j in range(width):
+                if (known and table.dofs[element, k] + ahead == table.dofs[before, j]
+                        and used(table, element, k) and used(table, before, j)):
+                    for n in (0, width):
+                        state.spare_re[n + k] = state.o_re[line, wheel, n + j]
+                        state.spare_im[n + k] = state.o_im[line, wheel, n + j]
+        for n in range(2 * width):
+            state.o_re[line, wheel, n] = state.spare_re[n]
+            state.o_im[line, wheel, n] = state.spare_im[n]
     state.home[wheel, 0] = bay
     state.home[wheel, 1] = element
 
 
-# The loops over the modes: functions of plain arrays and an index, which the compiler turns into
-# vector code and takes into its callers. (A tuple of arrays as an argument costs as much as the
-# work itself.)
-
-
-@njit(cache=True, nogil=True, fastmath=True, _nrt=False)
-def combine(weight, source, wheel, out):
-    """out[wheel, p] = sum_k weight[wheel, k] source[wheel, k, p]."""
-    w0, w1, w2, w3 = weight[wheel, 0], weight[wheel, 1], weight[wheel, 2], weight[wheel, 3]
-    for p in range(out.shape[1]):
-        out[wheel, p] = (w0 * source[wheel, 0, p] + w1 * source[wheel, 1, p]
-                         + w2 * source[wheel, 2, p] + w3 * source[wheel, 3, p])
-    for k in range(4, weight.shape[1]):
-        w = weight[wheel, k]
-        if w != 0.0:
-            for p in range(out.shape[1]):
-                out[wheel, p] += w * source[wheel, k, p]
-
-
-@njit(cache=True, nogil=True, fastmath=True, _nrt=False)
-def add(factor, x, wheel, line, out):
-    """out[line] += factor x[wheel]."""
-    for p in range(out.shape[1]):
-        out[line, p] += factor * x[wheel, p]
-
-
-@njit(cache=True, nogil=True, fastmath=True, _nrt=False)
-def turn(e_re, e_im, line, r_re, r_im):
-    """r[line] <- e r[line], complex."""
-    for p in range(e_re.size):
-        re, im = r_re[line, p], r_im[line, p]
-        r_re[line, p] = e_re[p] * re - e_im[p] * im
-        r_im[line, p] = e_re[p] * im + e_im[p] * re
-
-
-@njit(cache=True, nogil=True, fastmath=True, _nrt=False)
-def dot(a_re, a_im, wheel, line, b_re, b_im):
-    """Re sum a[wheel] b[line], complex."""
-    total = 0.0
-    for p in range(b_re.shape[1]):
-        total += a_re[wheel, p] * b_re[line, p] - a_im[wheel, p] * b_im[line, p]
-    return total
-
-
-@njit(cache=True, nogil=True, fastmath=True, _nrt=False)
-def oscillate(e_re, e_im, factor, weight, wheel, line, o_re, o_im):
-    """One step of the oscillators under a wheel: o <- e o + factor weight."""
-    for n in range(e_re.size):
-        for k in range(weight.shape[1]):
-            re, im = o_re[line, wheel, n, k], o_im[line, wheel, n, k]
-            o_re[line, wheel, n, k] = e_re[n] * re - e_im[n] * im + factor * weight[wheel, k]
-            o_im[line, wheel, n, k] = e_re[n] * im + e_im[n] * re
-
-
-@njit(cache=True, nogil=True, fastmath=True, _nrt=False)
-def read_oscillators(out_re, out_im, element, weight, wheel, line, o_re, o_im):
-    """Deflection [m] of the oscillators under a wheel."""
-    total = 0.0
-    for n in range(out_re.shape[1]):
-        for j in range(weight.shape[1]):
-            row = 0.0
-            for k in range(weight.shape[1]):
-                row += (out_re[element, n, j, k] * o_re[line, wheel, n, k]
-                        - out_im[element, n, j, k] * o_im[line, wheel, n, k])
-            total += weight[wheel, j] * row
-    return total
-
-
-@njit(cache=True, nogil=True, fastmath=True, _nrt=False)
-def weigh(coefficients, interval, s, wheel, weight):
-    """N(x) of a wheel."""
-    for k in range(weight.shape[1]):
-        weight[wheel, k] = (
-            (coefficients[interval, k, 3] * s + coefficients[interval, k, 2]) * s
-            + coefficients[interval, k, 1]) * s + coefficients[interval, k, 0]
-
-
-@njit(cache=True, nogil=True, fastmath=True, _nrt=False)
-def polynomial(c, row, s):
-    """Sum of c[row, n] s^n over seven terms."""
-    return (((((c[row, 6] * s + c[row, 5]) * s + c[row, 4]) * s + c[row, 3]) * s
-             + c[row, 2]) * s + c[row, 1]) * s + c[row, 0]
-
-
-@njit(cache=True, nogil=True, fastmath=True, _nrt=False)
-def begin_step(model, table, state, last, place, free, present):
-    """Put the wheels at their places and tell what the past has left there.
-
-    last (lines, wheels): upward forces of the last sample [N]; place (wheels,): present
-    positions [m].  Found: free (lines, wheels) deflection [m] without the present forces; present
-    (wheels,) [m/N] what each force does at once at its own wheel apart from the kept modes.
-    """
-    lines, wheels = last.shape
-    r_re, r_im, o_re, o_im = state.r_re, state.r_im, state.o_re, state.o_im
-    c_re, c_im, weight, home = state.c_re, state.c_im, state.weight, state.home
+@njit(cache=True, nogil=True, inline='always')
+def stand(model, table, state, k, wheel, place):
+    """Put a wheel at its place in sample k and let its oscillators do the step to there."""
+    lines, width, weight = state.o_re.shape[0], state.weight.shape[1], state.weight
+    o_re, o_im, oe_re, oe_im = state.o_re, state.o_im, model.oe_re, model.oe_im
+    out_re, out_im = model.out_re, model.out_im
     for n in range(lines):
-        turn(model.e_re, model.e_im, n, r_re, r_im)
-        for w in range(wheels):
-            add(last[n, w], c_re, w, n, r_re)
-            add(last[n, w], c_im, w, n, r_im)
-            oscillate(model.oe_re, model.oe_im, last[n, w], weight, w, n, o_re, o_im)
-    for w in range(wheels):
-        bay, interval, s = locate(table, place[w])
-        element = table.element[interval]
-        if home[w, 0] != bay or home[w, 1] != element:
-            enter(model, table, state, w, bay, element)
-        weigh(table.coefficients, interval, s, w, weight)
-        combine(weight, state.source_re, w, c_re)
-        combine(weight, state.source_im, w, c_im)
-        present[w] = polynomial(model.present, interval, s)
-        for n in range(lines):
-            free[n, w] = (dot(c_re, c_im, w, n, r_re, r_im)
-                          + read_oscillators(model.out_re, model.out_im, element, weight, w, n,
-                                             o_re, o_im))
+        force = state.last[k, n, wheel]
+        for i in range(oe_re.size):
+            re, im = o_re[n, wheel, i], o_im[n, wheel, i]
+            o_re[n, wheel, i] = oe_re[i] * re - oe_im[i] * im
+            o_im[n, wheel, i] = oe_re[i] * im + oe_im[i] * re
+        for i in range(width):
+            o_re[n, wheel, i] += force * weight[wheel, i]
+            o_re[n, wheel, i + width] += force * weight[wheel, i]
+    bay, interval, s = locate(table, place)
+    element = table.element[interval]
+    inside = min(max(place - table.start - bay * table.spacing, 0.0), table.spacing)
+    piece, state.local[k, wheel] = interval_at(model.breaks, model.guess, table.spacing, inside)
+    state.fresh[k, wheel, 0] = NOWHERE
+    if state.home[wheel, 0] != bay or state.home[wheel, 2] != piece:
+        state.fresh[k, wheel, 0] = bay % model.cos.shape[0]
+        state.fresh[k, wheel, 1] = piece
+        if state.home[wheel, 0] != bay or state.home[wheel, 1] != element:
+            enter(table, state, wheel, bay, element, model.nodes)
+        state.home[wheel, 2] = piece
+    c = table.coefficients
+    for i in range(width):
+        weight[wheel, i] = (
+            (c[interval, i, 3] * s + c[interval, i, 2]) * s + c[interval, i, 1]
+        ) * s + c[interval, i, 0]
+    for n in range(lines):
+        total = 0.0
+        for i in range(o_re.shape[2]):
+            re = ((out_re[interval, 3, i] * s + out_re[interval, 2, i]) * s
+                  + out_re[interval, 1, i]) * s + out_re[interval, 0, i]
+            im = ((out_im[interval, 3, i] * s + out_im[interval, 2, i]) * s
+                  + out_im[interval, 1, i]) * s + out_im[interval, 0, i]
+            total += re * o_re[n, wheel, i] - im * o_im[n, wheel, i]
+        state.free[k, n, wheel] = total
 
 
-@njit(cache=True, nogil=True, fastmath=True, _nrt=False)
-def remainder_between(model, table, state, response, force):
-    """Static flexibility [m/N] of the poles that are not kept, between two wheels."""
-    apart = (state.home[response, 0] - state.home[force, 0]) % model.cos.shape[0]
-    there, here = state.home[response, 1], state.home[force, 1]
+# The loops over a chunk of modes: functions of plain arrays and indices, written into their
+# callers before these are compiled, so that the compiler sees arrays that stand still.
+
+
+@njit(cache=True, nogil=True, inline='always')
+def fetch(first_re, first_im, second_re, second_im, cos, sin, bay, piece, wheel, chunk, source_re,
+          source_im):
+    """source[wheel] = cubics of c in a piece of a bay."""
+    for i in range(4):
+        for p in range(cos.shape[2]):
+            x, y = cos[bay, chunk, p], sin[bay, chunk, p]
+            source_re[wheel, i, chunk, p] = (x * first_re[piece, i, chunk, p]
+                                             + y * second_re[piece, i, chunk, p])
+            source_im[wheel, i, chunk, p] = (x * first_im[piece, i, chunk, p]
+                                             + y * second_im[piece, i, chunk, p])
+
+
+@njit(cache=True, nogil=True, inline='always')
+def combine(s, source_re, source_im, wheel, chunk, r_re, r_im, c_re, c_im):
+    """c[wheel] = sum_i s^i source[wheel, i]; returns c r[0]."""
     total = 0.0
-    for i in range(table.dofs.shape[1]):
-        part = 0.0
-        for j in range(table.dofs.shape[1]):
-            part += (model.remainder[apart, table.dofs[there, i], table.dofs[here, j]]
-                     * state.weight[force, j])
-        total += state.weight[response, i] * part
+    for p in range(c_re.shape[2]):
+        re = ((source_re[wheel, 3, chunk, p] * s + source_re[wheel, 2, chunk, p]) * s
+              + source_re[wheel, 1, chunk, p]) * s + source_re[wheel, 0, chunk, p]
+        im = ((source_im[wheel, 3, chunk, p] * s + source_im[wheel, 2, chunk, p]) * s
+              + source_im[wheel, 1, chunk, p]) * s + source_im[wheel, 0, chunk, p]
+        c_re[wheel, chunk, p], c_im[wheel, chunk, p] = re, im
+        total += re * r_re[0, chunk, p] - im * r_im[0, chunk, p]
     return total
 
 
-@njit(cache=True, nogil=True, fastmath=True, _nrt=False)
-def advance(model, table, state, position, force, deflection):
-    """Deflection (n, lines, wheels) under known upward forces (n, lines, wheels).
+@njit(cache=True, nogil=True, inline='always')
+def turn(e_re, e_im, one, c_re, c_im, chunk, line, r_re, r_im):
+    """r[line] <- e r[line] + one c[0], complex."""
+    for p in range(c_re.shape[2]):
+        re, im = r_re[line, chunk, p], r_im[line, chunk, p]
+        r_re[line, chunk, p] = (e_re[chunk, p] * re - e_im[chunk, p] * im
+                                + one * c_re[0, chunk, p])
+        r_im[line, chunk, p] = (e_re[chunk, p] * im + e_im[chunk, p] * re
+                                + one * c_im[0, chunk, p])
 
-    Lines are rails that do not feel each other with wheels side by side at (n, wheels).
+
+@njit(cache=True, nogil=True, inline='always')
+def add(one, two, wheel, other, c_re, c_im, chunk, line, r_re, r_im):
+    """r[line] += one c[wheel] + two c[other]."""
+    for p in range(c_re.shape[2]):
+        r_re[line, chunk, p] += one * c_re[wheel, chunk, p] + two * c_re[other, chunk, p]
+        r_im[line, chunk, p] += one * c_im[wheel, chunk, p] + two * c_im[other, chunk, p]
+
+
+@njit(cache=True, nogil=True, inline='always')
+def dot(c_re, c_im, wheel, chunk, line, r_re, r_im):
+    """Re sum c[wheel] r[line], complex."""
+    total = 0.0
+    for p in range(c_re.shape[2]):
+        total += (c_re[wheel, chunk, p] * r_re[line, chunk, p]
+                  - c_im[wheel, chunk, p] * r_im[line, chunk, p])
+    return total
+
+
+@njit(cache=True, nogil=True, inline='always')
+def begin(model, table, offsets, state, position, force):
+    """Put the wheels at positions (n,) [m] and tell what the past has left there, state.free.
+
+    n is at most BATCH.  force (n, lines, wheels) [N, upward] are those at these places; the last
+    of them has no effect yet but for the corrected hold.
     """
-    steps, lines, wheels = force.shape
-    last, free, present = state.last, state.free, state.present
-    for k in range(steps):
+    count, lines, wheels = force.shape
+    for k in range(count):
         for n in range(lines):
             for w in range(wheels):
                 newest, earlier = state.force[n, w, 0], state.force[n, w, 1]
-                last[n, w] = newest
+                state.last[k, n, w] = newest
                 if model.corrected:
-                    last[n, w] -= (force[k, n, w] - 2.0 * newest + earlier) / 12.0
+                    state.last[k, n, w] -= (force[k, n, w] - 2.0 * newest + earlier) / 12.0
                 state.force[n, w, 1] = newest
                 state.force[n, w, 0] = force[k, n, w]
         for w in range(wheels):
-            state.place[w] = position[k, w]
-        begin_step(model, table, state, last, state.place, free, present)
+            stand(model, table, state, k, w, position[k] + offsets[w])
+    state.place[0] = position[count - 1]
+    for chunk in range(model.e_re.shape[0]):
+        follow(model, state, count, chunk)
+
+
+@njit(cache=True, nogil=True, inline='always')
+def follow(model, state, count, chunk):
+    """Add what a chunk of the kept modes has left at the wheels' places."""
+    _, lines, wheels = state.free.shape
+    r_re, r_im, c_re, c_im = state.r_re, state.r_im, state.c_re, state.c_im
+    last, free, local, fresh = state.last, state.free, state.local, state.fresh
+    source_re, source_im, e_re, e_im = state.source_re, state.source_im, model.e_re, model.e_im
+    first_re, first_im, second_re = model.first_re, model.first_im, model.second_re
+    second_im, cos, sin = model.second_im, model.cos, model.sin
+    for k in range(count):
         for n in range(lines):
-            for p in range(state.d_re.shape[1]):
-                state.d_re[n, p] = 0.0
-                state.d_im[n, p] = 0.0
-            for w in range(wheels):
-                add(force[k, n, w], state.c_re, w, n, state.d_re)
-                add(force[k, n, w], state.c_im, w, n, state.d_im)
-            turn(model.k_re, model.k_im, n, state.d_re, state.d_im)
-            for w in range(wheels):
-                deflection[k, n, w] = (
-                    free[n, w] + present[w] * force[k, n, w]
-                    + dot(state.c_re, state.c_im, w, n, state.d_re, state.d_im))
+            turn(e_re, e_im, last[k, n, 0], c_re, c_im, chunk, n, r_re, r_im)
+            for w in range(1, wheels, 2):
+                other = min(w + 1, wheels - 1)
+                two = last[k, n, other] if other > w else 0.0
+                add(last[k, n, w], two, w, other, c_re, c_im, chunk, n, r_re, r_im)
         for w in range(wheels):
-            for v in range(w):
-                between = remainder_between(model, table, state, w, v)
-                for n in range(lines):
-                    deflection[k, n, w] += between * force[k, n, v]
-                    deflection[k, n, v] += between * force[k, n, w]
+            if fresh[k, w, 0] != NOWHERE:
+                fetch(first_re, first_im, second_re, second_im, cos, sin, fresh[k, w, 0],
+                      fresh[k, w, 1], w, chunk, source_re, source_im)
+            free[k, 0, w] += combine(local[k, w], source_re, source_im, w, chunk, r_re, r_im,
+                                     c_re, c_im)
+            for n in range(1, lines):
+                free[k, n, w] += dot(c_re, c_im, w, chunk, n, r_re, r_im)

@@ -11,6 +11,8 @@ mesh, and tabulated as such.
 
 from __future__ import annotations
 
+import math
+from collections import deque
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -25,17 +27,16 @@ from railtrack_ros.dynamics.contact import (
     wheel_constants,
 )
 from railtrack_ros.dynamics.forward import ForwardResult, StepFailure, check_run, check_setup
-from railtrack_ros.dynamics.interpolation import ShapeTable, locate
+from railtrack_ros.dynamics.interpolation import ShapeTable, first_guess, locate
 from railtrack_ros.dynamics.modes import TrackModes, make_track_modes, ring_length
 from railtrack_ros.dynamics.recursion import (
+    BATCH,
     SAVED,
     Model,
     State,
-    advance,
-    begin_step,
+    begin,
     make_model,
     make_state,
-    polynomial,
     settle,
     step_of,
 )
@@ -45,7 +46,7 @@ from railtrack_ros.vehicle.description import Vehicle
 
 Array = NDArray[np.float64]
 
-MAXIMUM_FREQUENCY = 8000.0
+MAXIMUM_FREQUENCY = 6000.0
 """Poles up to here [Hz] are kept one by one unless told otherwise."""
 
 FORWARD_HOLDS = ('trapezoidal', 'linear')
@@ -69,46 +70,63 @@ class Compliances(NamedTuple):
     coefficients: Array
 
 
+# The compliances asked for last: half a second of work, which a live stream cannot wait for.
+_RECENT: deque[tuple[TrackModes, tuple[float, str, bytes], Compliances]] = deque(maxlen=6)
+
+
 def compliances(modes: TrackModes, time_step: float, hold: str, offsets: Array) -> Compliances:
-    """Deflection [m/N] at each wheel by a force at each wheel in the same step."""
+    """Deflection [m/N] at each wheel by a force at each wheel in the same step; remembered."""
+    key = (time_step, hold, offsets.tobytes())
+    for of, asked, found in _RECENT:
+        if of is modes and asked == key:
+            return found
+    found = _compliances(modes, time_step, hold, offsets)
+    _RECENT.append((modes, key, found))
+    return found
+
+
+def _compliances(modes: TrackModes, time_step: float, hold: str, offsets: Array) -> Compliances:
     bay, table, n = modes.bay, modes.table, offsets.size
     inner = np.mod(table.breaks[None, :-1] - offsets[:, None], bay.spacing).ravel()
     breaks = np.unique(np.round(np.concatenate([[0.0], inner, [bay.spacing]]), 10))
     # Polynomials through seven points within each interval.
     s = 0.5 - 0.5 * np.cos(np.pi * (np.arange(7) + 0.5) / 7)
     fit = np.linalg.inv(s[:, None] ** np.arange(7))
+    x = bay.start + (breaks[:-1, None] + s * np.diff(breaks)[:, None]).ravel()
+    share = np.tile(step_of(modes.poles, time_step, hold).p1, 2)
+    oscillators = step_of(modes.oscillators, time_step, hold).p1
+    at_once = np.tensordot(oscillators, modes.amplitude, 1).real
+
+    number, shape, flexibility = np.empty((n, x.size), int), [], []
+    for w, offset in enumerate(offsets):
+        number[w], inside = bay.locate(x + offset)
+        shape.append(bay.shape(inside))
+        flexibility.append(bay.flexibility(inside))
+    weights = [modes.weights(x + offset) for offset in offsets]
     first, second = np.triu_indices(n)
-    step = step_of(modes.poles, time_step, hold)
-    share = np.tile(step.p1, 2)
-    # Places where a wheel stands above a break leave it in one element.
-    model = make_model(modes, time_step, hold)
-    values = np.empty((first.size, len(breaks) - 1, 7))
-    for i, (low, high) in enumerate(zip(breaks[:-1], breaks[1:], strict=True)):
-        x = bay.start + low + s * (high - low)
-        c = [modes.weights(x + offset) for offset in offsets]
-        for k, (w, v) in enumerate(zip(first, second, strict=True)):
-            values[k, i] = ((c[w] * share) * c[v]).sum(axis=1).real
-            if w == v:
-                interval, local = table_place(modes, x + offsets[w])
-                values[k, i] += [polynomial(model.present, j, t)
-                                 for j, t in zip(interval, local, strict=True)]
-            else:
-                values[k, i] += [modes.static_remainder(a + offsets[w], a + offsets[v])
-                                 for a in x]
-    cells = np.linspace(0.0, bay.spacing, 8 * len(breaks), endpoint=False)
-    guess = np.clip(np.searchsorted(breaks, cells, side='right') - 1, 0, len(breaks) - 2)
-    return Compliances(bay.start, bay.spacing, breaks, guess.astype(np.int64),
+    values = np.empty((first.size, x.size))
+    for k, (w, v) in enumerate(zip(first, second, strict=True)):
+        values[k] = ((weights[w] * share) * weights[v]).sum(axis=1).real
+        if w == v:
+            values[k] += flexibility[w] + np.einsum('xi,ij,xj->x', shape[w], at_once, shape[w])
+        else:
+            for apart in np.unique(number[w] - number[v]):
+                at = number[w] - number[v] == apart
+                values[k, at] += np.einsum('xi,ij,xj->x', shape[w][at],
+                                           modes.remainder[apart % modes.bays], shape[v][at])
+    return Compliances(bay.start, bay.spacing, breaks, first_guess(breaks, bay.spacing),
                        first.astype(np.int64), second.astype(np.int64), len(breaks) - 1,
-                       (values @ fit.T).reshape(-1, 7))
-
-
-def table_place(modes: TrackModes, x: Array) -> tuple[NDArray[np.int64], Array]:
-    """Interval and local coordinate, (n,) each, of track positions x (n,) [m]."""
-    _, inside = modes.bay.locate(x)
-    return modes.bay.table.locate(inside)
+                       (values.reshape(first.size, -1, 7) @ fit.T).reshape(-1, 7))
 
 
 @njit(cache=True, nogil=True, fastmath=True, _nrt=False)
+def polynomial(c, row, s):
+    """Sum of c[row, n] s^n over seven terms."""
+    return (((((c[row, 6] * s + c[row, 5]) * s + c[row, 4]) * s + c[row, 3]) * s
+             + c[row, 2]) * s + c[row, 1]) * s + c[row, 0]
+
+
+@njit(cache=True, nogil=True, inline='always')
 def compliance_at(table, x, out):
     """Compliance matrix (n, n) [m/N] with the reference point at x [m]."""
     _, interval, s = locate(table, x)
@@ -119,17 +137,30 @@ def compliance_at(table, x, out):
 
 
 @njit(cache=True, nogil=True, fastmath=True, _nrt=False)
-def march(model, table, state, pairs, compliance, work, offsets, constants, position,
+def advance(model, table, offsets, state, pairs, compliance, position, force, deflection):
+    """Deflection (n, lines, wheels) under known upward forces (n, lines, wheels), n <= BATCH."""
+    begin(model, table, offsets, state, position, force)
+    count, lines, wheels = force.shape
+    for k in range(count):
+        compliance_at(pairs, position[k], compliance)
+        for n in range(lines):
+            for w in range(wheels):
+                total = state.free[k, n, w]
+                for v in range(wheels):
+                    total += compliance[w, v] * force[k, n, v]
+                deflection[k, n, w] = total
+
+
+@njit(cache=True, nogil=True, fastmath=True, _nrt=False)
+def march(model, table, offsets, state, pairs, compliance, idle, force, work, constants, position,
           irregularity, wheels, force_out, deflection_out, wheel_out, acceleration_out):
     """Wheels and rail together, irregularity given: returns (steps done, Newton iterations)."""
     steps, n = irregularity.shape
-    free, force, last = state.free[0], state.present, state.last
+    free = state.free[0, 0]
     iterations = 0
     for k in range(steps):
-        for w in range(n):
-            last[0, w] = state.force[0, w, 0]
-            state.place[w] = position[k] + offsets[w]
-        begin_step(model, table, state, last, state.place, state.free, force)
+        state.place[0] = position[k]
+        begin(model, table, offsets, state, state.place, idle)
         compliance_at(pairs, position[k], compliance)
         count = contact_step(free, compliance, irregularity[k], wheels, constants, force, work)
         if count < 0:
@@ -139,7 +170,6 @@ def march(model, table, state, pairs, compliance, work, offsets, constants, posi
             deflection = free[w]
             for v in range(n):
                 deflection -= compliance[w, v] * force[v]
-            state.force[0, w, 1] = state.force[0, w, 0]
             state.force[0, w, 0] = -force[w]
             force_out[k, w] = force[w]
             deflection_out[k, w] = deflection
@@ -156,42 +186,54 @@ class RecursiveResponse:
     wheels stand side by side; they share the shapes, which are most of the work.
     """
 
-    def __init__(self, modes: TrackModes, time_step: float, wheels: int,
+    def __init__(self, modes: TrackModes, time_step: float, offsets: Sequence[float] | Array,
                  hold: str = 'linear', lines: int = 1) -> None:
         """Raise InputError for a time step that is not positive or an unknown hold."""
-        if not time_step > 0.0:
-            raise InputError(f'time step {time_step} s: must be positive')
+        self.offsets = check_setup(offsets, time_step)
         self.modes = modes
         self.time_step = time_step
-        self.wheels = wheels
         self.lines = lines
         self._model = make_model(modes, time_step, hold)
-        self._state = make_state(self._model, modes.table, wheels, lines)
+        self._state = make_state(self._model, modes.table, self.offsets.size, lines)
+        self._pairs = compliances(modes, time_step, hold, self.offsets)
+        self._compliance = np.empty((self.offsets.size, self.offsets.size))
 
     @property
-    def compiled(self) -> tuple[Model, ShapeTable, State]:
-        """What the compiled loops take: model, table, and the state, which they change."""
-        return self._model, self.modes.table, self._state
+    def compiled(self) -> tuple[Model, ShapeTable, Array, State, Compliances, Array]:
+        """What the compiled loops take first: tables, and the state, which they change."""
+        return (self._model, self.modes.table, self.offsets, self._state, self._pairs,
+                self._compliance)
 
-    def settle(self, position: ArrayLike, force: ArrayLike) -> None:
-        """Start from the static deflection under constant forces at (wheels,) [m].
+    def settle(self, position: float, force: ArrayLike) -> None:
+        """Start from the static deflection with the reference point at a position [m].
 
         force: (wheels,) or (lines, wheels) [N, upward].
         """
-        settle(*self.compiled, np.asarray(position, dtype=float),
-               np.atleast_2d(np.asarray(force, dtype=float)))
+        self._idle_at(position)
+        settle(self._model, self._state, np.atleast_2d(np.asarray(force, dtype=float)))
+
+    def _idle_at(self, position: float) -> None:
+        """Find what follows from the wheels' places, by an idle step there.
+
+        So it has the rounding of the loop that goes on from it.
+        """
+        idle = np.zeros((1, self.lines, self.offsets.size))
+        advance(*self.compiled, np.full(1, float(position)), idle, np.empty_like(idle))
 
     def deflection(self, position: ArrayLike, force: ArrayLike) -> Array:
         """Deflection [m, up] at the wheels for the next n steps, of the shape of force.
 
-        position (n, wheels): track position of each wheel [m]; force (n, wheels) or (n, lines,
+        position (n,): track position of the reference point [m]; force (n, wheels) or (n, lines,
         wheels): upward force on the rail [N], minus the contact force.  Both must be finite.
         """
         position = np.ascontiguousarray(position, dtype=float)
         force = np.ascontiguousarray(force, dtype=float)
         result = np.empty_like(force)
-        shape = (len(force), self.lines, self.wheels)
-        advance(*self.compiled, position, force.reshape(shape), result.reshape(shape))
+        shape = (len(force), self.lines, self.offsets.size)
+        forces, results = force.reshape(shape), result.reshape(shape)
+        for first in range(0, len(force), BATCH):
+            batch = slice(first, first + BATCH)
+            advance(*self.compiled, position[batch], forces[batch], results[batch])
         return result
 
     def state(self) -> dict[str, Array]:
@@ -200,8 +242,7 @@ class RecursiveResponse:
 
     def restore(self, state: dict[str, Array]) -> None:
         """Continue from a state saved by `state()`, of the same modes and time step."""
-        # An idle step there finds all else, with the rounding of the loop that goes on from it.
-        self.deflection(state['place'][None], np.zeros((1, self.lines, self.wheels)))
+        self._idle_at(state['place'][0])
         for name in SAVED:
             getattr(self._state, name)[:] = state[name]
 
@@ -212,15 +253,20 @@ class RecursiveForward:
     Same use and results as `newmark.FullModel`; with the trapezoidal hold the same time
     integration too.  Parameters: bay or its modes; vehicle (wheel and contact are used); offsets
     of the wheels from the reference point [m]; time_step [s]; start_position [m], where the wheels
-    stand in static equilibrium at the first sample.  Raises InputError.
+    stand in static equilibrium at the first sample; hold; highest frequency [Hz] of the poles that
+    are kept one by one, and bays in the ring, for a bay.  Raises InputError.
     """
 
-    def __init__(self, bay: Bay | TrackModes, vehicle: Vehicle, offsets: Sequence[float],
+    def __init__(self, bay: Bay | TrackModes, vehicle: Vehicle, offsets: Sequence[float] | Array,
                  time_step: float, start_position: float, hold: str = 'trapezoidal',
-                 maximum_frequency: float = MAXIMUM_FREQUENCY) -> None:
+                 maximum_frequency: float = MAXIMUM_FREQUENCY, bays: int | None = None) -> None:
         self.offsets = check_setup(offsets, time_step)
         if isinstance(bay, Bay):
-            bays = ring_length(bay, self.offsets)
+            least = math.ceil(np.ptp(self.offsets) / bay.spacing) + 3
+            if bays is not None and bays < least:
+                raise InputError(f'bays in the ring: expected at least {least} for these wheels, '
+                                 f'got {bays}')
+            bays = ring_length(bay, self.offsets) if bays is None else bays
             bay = make_track_modes(bay, bays, maximum_frequency)
         if hold not in FORWARD_HOLDS:
             raise InputError(f'hold {hold!r}: expected one of ' + ', '.join(FORWARD_HOLDS))
@@ -228,8 +274,7 @@ class RecursiveForward:
         self.start_position = float(start_position)
         self.constants = wheel_constants(vehicle, time_step)
         self.iterations = self.steps = 0
-        self._response = RecursiveResponse(self.modes, time_step, self.offsets.size, hold)
-        self._compliances = compliances(self.modes, time_step, hold, self.offsets)
+        self._response = RecursiveResponse(self.modes, time_step, self.offsets, hold)
         self._wheels: Array | None = None
         self._last: float | None = None
 
@@ -244,30 +289,47 @@ class RecursiveForward:
         result = ForwardResult.empty(position.size, self.offsets.size)
         if position.size == 0:
             return result
-        begin = 0
+        first = 0
         response = self._response
         if self._wheels is None:
-            places = position[0] + self.offsets
             load = np.full(self.offsets.size, -self.constants.static_load)
-            response.settle(places, load)
+            response.settle(position[0], load)
             # Constant forces keep a settled rail where it is.
-            deflection = response.deflection(places[None], load[None])[0]
+            deflection = response.deflection(position[:1], load[None])[0]
             self._wheels = standing_wheels(self.constants, deflection, irregularity[0])
             result.contact_force[0] = self.constants.static_load
             result.rail_deflection[0] = deflection
             result.wheel_displacement[0] = self._wheels[0]
-            begin = 1
+            first = 1
         wheels = self.offsets.size
         done, iterations = march(
-            *response.compiled, self._compliances, np.empty((wheels, wheels)),
-            contact_work(wheels), self.offsets, self.constants, position[begin:],
-            irregularity[begin:], self._wheels, *result.part(begin, position.size).arrays())
+            *response.compiled, np.zeros((1, 1, wheels)), np.empty(wheels), contact_work(wheels),
+            self.constants, position[first:], irregularity[first:], self._wheels,
+            *result.part(first, position.size).arrays())
         self.steps += done
         self.iterations += iterations
-        if begin + done < position.size:
+        if first + done < position.size:
             raise StepFailure(
                 f'recursive solver: the contact forces did not converge in time step '
-                f'{self.steps + 1} at position {position[begin + done]:.6g} m',
-                result.part(0, begin + done))
+                f'{self.steps + 1} at position {position[first + done]:.6g} m',
+                result.part(0, first + done))
         self._last = float(position[-1])
         return result
+
+    def state(self) -> dict[str, Array]:
+        """A copy of all that the run has to remember: some kilobytes."""
+        wheels, last = ((np.zeros(0), np.zeros(0)) if self._wheels is None else
+                        (self._wheels.copy(), np.array([self._last])))
+        return self._response.state() | {'wheels': wheels, 'last': last}
+
+    def restore(self, state: dict[str, Array]) -> None:
+        """Continue from a state saved by `state()`, of the same modes, wheels and time step."""
+        self._response.restore(state)
+        begun = state['last'].size > 0
+        self._wheels = state['wheels'].copy() if begun else None
+        self._last = float(state['last'][0]) if begun else None
+
+    def restart(self, position: float) -> None:
+        """Let the next run begin at a position [m], from static equilibrium as the first one."""
+        self.start_position = float(position)
+        self._wheels = self._last = None

@@ -26,10 +26,11 @@ from numpy.typing import ArrayLike, NDArray
 from railtrack_ros.dynamics.modes import TrackModes, make_track_modes, ring_length
 from railtrack_ros.dynamics.recursive import RecursiveResponse
 from railtrack_ros.errors import InputError
+from railtrack_ros.estimation.closed_loop import ClosedLoop, Residual
 from railtrack_ros.estimation.highpass import ChannelState, filter_block
 from railtrack_ros.estimation.odometer import Odometer, Run
 from railtrack_ros.estimation.settings import EstimatorSettings
-from railtrack_ros.estimation.timeline import SECOND, Place, SampleClock
+from railtrack_ros.estimation.timeline import Place, SampleClock
 from railtrack_ros.estimation.wheel import WheelInverse
 from railtrack_ros.track.bay import Bay, make_bay
 from railtrack_ros.track.description import Track
@@ -109,6 +110,7 @@ class _Rail:
         self.lines = lines
         self.response: RecursiveResponse | None = None
         self.wheels: WheelInverse | None = None
+        self.loop: ClosedLoop | None = None
         self.channels = ChannelState.stopped(len(names))
 
     @staticmethod
@@ -122,12 +124,13 @@ class _Rail:
         return [_Rail(tuple(names), np.array(offsets), len(names) // len(offsets))
                 for offsets, names in found.items()]
 
-    def begin(self, modes: TrackModes, vehicle: Vehicle, step: float) -> None:
+    def begin(self, modes: TrackModes, vehicle: Vehicle, step: float, cut_on: float) -> None:
         """Prepare for a sample period [s]."""
         if self.response is None or self.response.time_step != step:
             self.response = RecursiveResponse(
-                modes, step, self.offsets.size, 'corrected', self.lines)
+                modes, step, self.offsets, 'corrected', self.lines)
         self.wheels = WheelInverse(vehicle, step, len(self.names))
+        self.loop = ClosedLoop(modes, vehicle, self.names, self.offsets, step, cut_on, self.loop)
         self.channels = ChannelState.stopped(len(self.names))
 
 
@@ -161,8 +164,6 @@ class Estimator:
         InputError
             The vehicle does not fit on the ring of bays, or the track cannot be meshed.
         """
-        vehicle.require_rigid_wheels('the estimator')
-        vehicle.require_undamped_contact('the estimator')
         self.vehicle = vehicle
         self.settings = settings = settings or EstimatorSettings()
         WheelInverse(vehicle, 1e-4, 1)  # refuses a wheel that cannot be inverted
@@ -214,6 +215,19 @@ class Estimator:
         health.speed_state = odometer.state
         return health
 
+    def model_residual(self) -> dict[str, dict[str, Residual]]:
+        """Measured minus predicted acceleration by axle box and band of frequency.
+
+        From the last test of the model on the wheels behind the leading one, see `closed_loop`:
+        ``model_residual()['axle2_left']['100-400 Hz'].share`` is 0.1 where the model leaves a
+        tenth of the acceleration unexplained. Empty before the first test.
+        """
+        found: dict[str, dict[str, Residual]] = {}
+        for rail in self._rails:
+            if rail.loop is not None:
+                found.update(rail.loop.results())
+        return found
+
     def take_notes(self) -> list[str]:
         """Return the one-line remarks since the last call: what was skipped and why."""
         self._notes.extend(self._odometer.notes)
@@ -229,7 +243,7 @@ class Estimator:
         own = {name: getattr(self, name) for name in _STREAM}
         rails = [
             (rail.channels, rail.response and (rail.response.time_step, rail.response.state()),
-             rail.wheels and rail.wheels.state())
+             rail.wheels and rail.wheels.state(), rail.loop and rail.loop.state())
             for rail in self._rails
         ]  # fmt: skip
         return pickle.dumps((own, rails))
@@ -239,13 +253,16 @@ class Estimator:
         own, rails = pickle.loads(state)
         for name, value in own.items():
             setattr(self, name, value)
-        for rail, (channels, response, wheels) in zip(self._rails, rails, strict=True):
+        for rail, (channels, response, wheels, loop) in zip(self._rails, rails, strict=True):
             if response:
-                rail.begin(self._modes, self.vehicle, response[0])
+                rail.begin(self._modes, self.vehicle, response[0],
+                           self.settings.cut_on_wavelength)
                 assert rail.response is not None
                 assert rail.wheels is not None
                 rail.response.restore(response[1])
                 rail.wheels.restore(wheels)
+                assert rail.loop is not None
+                rail.loop.restore(loop)
             rail.channels = channels
 
     # Blocks
@@ -281,7 +298,7 @@ class Estimator:
         assert step is not None
         self._count(place, t.size, step)
         if place is Place.REWOUND:
-            self._odometer.rewind(stamp_ns + round(float(t[0]) * SECOND))
+            self._odometer.rewind(self._clock.begun_ns)
         measured = self._channels(t.size, channels)
         run = self._odometer.run(stamp_ns, t, step, place is Place.CONTINUED)
         if run is None:
@@ -351,10 +368,10 @@ class Estimator:
     def _start(self, run: Run, step: float) -> None:
         """Begin a stretch: all wheels stand on the statically deflected rail."""
         for rail in self._rails:
-            rail.begin(self._modes, self.vehicle, step)
+            rail.begin(self._modes, self.vehicle, step, self.settings.cut_on_wavelength)
             assert rail.response is not None
             load = np.full((rail.lines, rail.offsets.size), -self.vehicle.wheel.static_load)
-            rail.response.settle(run.place[0] + rail.offsets, load)
+            rail.response.settle(run.place[0], load)
         self._health.restarts += 1
         self._running = True
 
@@ -363,16 +380,19 @@ class Estimator:
         block: EstimateBlock,
     ) -> None:  # fmt: skip
         acceleration = np.column_stack([measured[name] for name in rail.names])
+        of_boxes = acceleration.copy()
+        assert rail.loop is not None
         assert rail.response is not None
         assert rail.wheels is not None
         force, indentation, alive = rail.wheels(acceleration)
         shape = (run.place.size, rail.lines, rail.offsets.size)
         deflection = rail.response.deflection(
-            run.place[:, None] + rail.offsets, -force.reshape(shape)).reshape(force.shape)
+            run.place, -force.reshape(shape)).reshape(force.shape)
         valid, irregularity = filter_block(
             rail.channels, acceleration, indentation - deflection, alive, run.speed, step,
             self.settings.cut_on_wavelength, self.settings.minimum_speed,
         )  # fmt: skip
+        rail.loop.add(run.place, run.speed, of_boxes, irregularity)
         force[~valid] = np.nan
         deflection[~valid] = np.nan
         for i, name in enumerate(rail.names):

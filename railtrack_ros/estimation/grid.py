@@ -22,6 +22,11 @@ HALF_WIDTH = 10
 TABLE = 512
 KAISER = 5.0
 
+# Places of a point between two samples for which the weights are tabulated, and the factor by
+# which the kernel may be wider than the samples ask for before they are tabulated anew.
+PHASES = 256
+TOLERANCE = 1.01
+
 # The kernel covers at most so many samples on each side.
 MOST_SAMPLES = 512
 
@@ -61,10 +66,12 @@ class DistanceGrid:
         self.step = step
         self._distance: Array = np.zeros(0)
         self._position: Array = np.zeros(0)
-        self._values: Array = np.zeros((0, channels))
+        self._values: Array = np.zeros((channels, 0))
         self._next = 0  # number of the next point of the grid
         self._increment = self._moved = 0.0
         self._broken = False
+        self._stretch = 1.0
+        self._weights: Array = _phases(KERNEL, self._stretch)
 
     def add(self, position: Array, values: Array) -> Points:
         """Take samples and return the points that they complete.
@@ -94,24 +101,24 @@ class DistanceGrid:
         distance = np.add.accumulate(np.concatenate(([start], increments)))[1:]
         self._distance = np.concatenate((self._distance, distance))
         self._position = np.concatenate((self._position, position))
-        self._values = np.concatenate((self._values, values))
+        self._values = np.concatenate((self._values, values.T), axis=1)
 
     def _complete(self) -> Points:
         if self._distance.size < 2:
-            return Points(np.zeros((0, self._values.shape[1])), np.zeros(0), np.zeros(0))
+            return Points(np.zeros((0, len(self._values))), np.zeros(0), np.zeros(0))
         room = max(int(self._distance[-1] / self.step) - self._next + 1, 0)
         points = Points(
-            np.empty((room, self._values.shape[1])), np.empty(room), np.empty(room)
+            np.empty((room, len(self._values))), np.empty(room), np.empty(room)
         )
-        made, used = _resample(
+        made, used, self._weights, self._stretch = _resample(
             self._distance, self._position, self._values, self._next, self.step, KERNEL,
-            points.values, points.position, points.spacing,
+            self._weights, self._stretch, points.values, points.position, points.spacing,
         )  # fmt: skip
         self._next += made
         drop = max(used - MOST_SAMPLES - 1, 0)
         self._distance = self._distance[drop:]
         self._position = self._position[drop:]
-        self._values = self._values[drop:]
+        self._values = np.ascontiguousarray(self._values[:, drop:])
         return Points(points.values[:made], points.position[:made], points.spacing[:made])
 
 
@@ -139,22 +146,45 @@ def _motion(position, last, increment, moved):
 
 
 @njit(cache=True, nogil=True)
-def _resample(distance, position, values, first, step, kernel, out, out_position, out_spacing):
-    """Fill the points from number `first` on; return how many, and the sample they reached."""
-    samples, channels = values.shape
+def _phases(kernel, stretch):
+    """Weights (PHASES + 1, taps) of the samples around a point by its place between the two."""
+    half = min(math.ceil(HALF_WIDTH * stretch), MOST_SAMPLES)
+    rows = np.empty((PHASES + 1, 2 * half))
+    for p in range(PHASES + 1):
+        total = 0.0
+        for j in range(2 * half):
+            u = abs(j - half + 1 - p / PHASES) / stretch * TABLE
+            cell = min(int(u), kernel.size - 2)
+            rows[p, j] = kernel[cell] + (u - cell) * (kernel[cell + 1] - kernel[cell])
+            total += rows[p, j]
+        rows[p] /= total
+    return rows
+
+
+@njit(cache=True, nogil=True, fastmath={'reassoc', 'contract'})
+def _resample(
+    distance, position, values, first, step, kernel, rows, stretch, out, out_position, out_spacing
+):
+    """Fill the points from number `first` on.
+
+    Returns how many, the sample they reached, and the weights to go on with and their stretch.
+    """
+    channels, samples = values.shape
     made, i = 0, 0
-    total = np.empty(channels)
     while True:
         at = (first + made) * step
         while i < samples - 2 and distance[i + 1] <= at:
             i += 1
         if made == out.shape[0] or distance[i + 1] <= at:
-            return made, i
+            return made, i, rows, stretch
         spacing = distance[i + 1] - distance[i]
-        stretch = max(1.0, step / spacing)
-        half = min(math.ceil(HALF_WIDTH * stretch), MOST_SAMPLES)
+        wanted = max(1.0, step / spacing)
+        if not stretch / TOLERANCE**2 <= wanted <= stretch:
+            stretch = wanted * TOLERANCE if wanted > 1.0 else 1.0
+            rows = _phases(kernel, stretch)
+        half = rows.shape[1] // 2
         if i + half >= samples:
-            return made, i
+            return made, i, rows, stretch
         fraction = (at - distance[i]) / spacing
         onwards = position[i + 1] - position[i]
         out_position[made] = position[i]
@@ -164,15 +194,13 @@ def _resample(distance, position, values, first, step, kernel, out, out_position
         if i - half + 1 < 0:
             out[made, :] = np.nan
         else:
-            total[:] = 0.0
-            weights = 0.0
-            for j in range(i - half + 1, i + half + 1):
-                u = abs(j - i - fraction) / stretch * TABLE
-                cell = min(int(u), kernel.size - 2)
-                weight = kernel[cell] + (u - cell) * (kernel[cell + 1] - kernel[cell])
-                weights += weight
-                for c in range(channels):
-                    total[c] += weight * values[j, c]
+            phase = min(int(fraction * PHASES), PHASES - 1)
+            part = fraction * PHASES - phase
+            begin = i - half + 1
             for c in range(channels):
-                out[made, c] = total[c] / weights
+                low = high = 0.0
+                for j in range(2 * half):
+                    low += rows[phase, j] * values[c, begin + j]
+                    high += rows[phase + 1, j] * values[c, begin + j]
+                out[made, c] = low + part * (high - low)
         made += 1

@@ -101,10 +101,11 @@ class Odometer:
         self._bays = 0.0
 
     def rewind(self, start_ns: int) -> None:
-        """Begin anew at the start position after the clock was set back to start_ns."""
+        """Begin anew at the start position, taken on when the clock was set back to start_ns."""
         earlier = sorted(x for x in self._earlier if abs(x[0] - start_ns) < CLOCK_RESET * SECOND)
         self._earlier.clear()
         self._begin()
+        self._anchor_ns = start_ns
         for stamp_ns, speed in earlier:
             self._insert(stamp_ns, speed)
 

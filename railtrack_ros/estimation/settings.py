@@ -7,6 +7,7 @@ the parameters of the node and the documentation are all made from this one decl
 from __future__ import annotations
 
 import dataclasses
+import math
 import typing
 from dataclasses import dataclass, field
 from typing import Any
@@ -41,7 +42,11 @@ class Setting:
                 raise InputError(f'{self.name}: expected true or false, got {value!r}')
             return value
         if self.kind is str:
+            if not self.choices and isinstance(value, str) and value:
+                return value
             if value not in self.choices:
+                if not self.choices:
+                    raise InputError(f'{self.name}: expected text, got {value!r}')
                 raise InputError(
                     f'{self.name}: expected one of {", ".join(self.choices)}, got {value!r}'
                 )
@@ -134,7 +139,7 @@ class EstimatorSettings(_Checked):
     )
     maximum_frequency: float = _setting(
         4500.0,
-        'track modes up to this frequency are followed in time, the rest acts statically',
+        'track modes up to this frequency are followed one by one, the rest all together',
         'Hz',
         Range(minimum=500.0, maximum=20000.0),
     )
@@ -146,13 +151,13 @@ class EstimatorSettings(_Checked):
         Range(minimum=0, maximum=501),
     )
     elements_per_bay: int = _setting(
-        Mesh.elements_per_bay,
+        6,
         'rail elements between two sleepers, those over the pad included',
         '',
         Range(minimum=4, maximum=32),
     )
     local_system: str = _setting(
-        Mesh.local_system,
+        'dynamic',
         'what represents the rail inside its elements',
         choices=LOCAL_SYSTEMS,
     )
@@ -186,3 +191,41 @@ class IndicatorSettings(_Checked):
         'dB',
         NOT_NEGATIVE,
     )
+    bands: str = _setting(
+        '10-30,30-100,100-300,300-1000',
+        'bands of wavelength in mm, each SHORTEST-LONGEST, separated by commas',
+    )
+    limits: str = _setting(
+        'grassie_1999',
+        'limits by which a section is OK, WARN or ERROR: a shipped set or a YAML file',
+    )
+
+    def __post_init__(self) -> None:
+        """Check the bands, too."""
+        super().__post_init__()
+        self.wavelengths  # noqa: B018
+
+    @property
+    def wavelengths(self) -> tuple[tuple[float, float], ...]:
+        """The bands as (shortest, longest) wavelength [m].
+
+        Raises
+        ------
+        InputError
+            Text that is no list of bands, or a band outside 2 mm to 10 m or under half an octave.
+        """
+        bands = []
+        for text in self.bands.split(','):
+            try:
+                shortest, longest = (1e-3 * float(part) for part in text.split('-'))
+            except ValueError:
+                shortest = longest = math.nan
+            if not (0.002 <= shortest < shortest * 1.41 <= longest <= 10.0):
+                raise InputError(
+                    f'bands: expected SHORTEST-LONGEST,... in mm between 2 and 10000, each of at '
+                    f'least half an octave, such as 30-100,100-300; got {text.strip()!r}'
+                )
+            bands.append((round(shortest, 6), round(longest, 6)))
+        if len(set(bands)) < len(bands):
+            raise InputError(f'bands: expected each band once, got {self.bands!r}')
+        return tuple(bands)

@@ -12,7 +12,8 @@ Array = NDArray[np.float64]
 
 SECOND = 1_000_000_000  # ns
 
-# Blocks that come back by more than this [s] tell that the clock was set back.
+# Blocks that come back by more than this [s] tell that the clock was set back. A leap of the stamps
+# by more than this, to either side, is believed when a second block goes on from the first.
 CLOCK_RESET = 5.0
 
 # How much the expected time of a block follows the stamp of the last one. Stamps jitter; a small
@@ -49,12 +50,16 @@ class SampleClock:
         Sample period [s], None before the first block.
     gap
         Time [s] between the block and the expected one, negative for an overlap.
+    begun_ns
+        When the clock was set back: its time at the first block thereafter, which was dropped.
     """
 
     def __init__(self, tolerance: float) -> None:
         self.tolerance = tolerance
         self.step: float | None = None
         self.gap = 0.0
+        self.begun_ns = 0
+        self._leap: tuple[int, int] | None = None  # start of a block that leapt, and of the next
         self._start_ns: int | None = None
         self._expected_ns = 0
 
@@ -77,7 +82,7 @@ class SampleClock:
         if problem:
             return Place.DROPPED, f'block dropped: {problem}'
         start_ns = stamp_ns + round(float(t[0]) * SECOND)
-        place, remark = self._against_last(start_ns)
+        place, remark = self._against_last(start_ns, t)
         if place is Place.DROPPED:
             return place, remark
         if t.size > 1:
@@ -108,15 +113,24 @@ class SampleClock:
             return f'a sample lies {off / period:.2g} sample periods off the uniform grid'
         return ''
 
-    def _against_last(self, start_ns: int) -> tuple[Place, str]:
+    def _against_last(self, start_ns: int, t: Array) -> tuple[Place, str]:
         if self._start_ns is None or self.step is None:
             return Place.STARTED, ''
+        leap, self._leap = self._leap, None
         self.gap = (start_ns - self._expected_ns) / SECOND
         if abs(self.gap) <= self.tolerance:
             return Place.CONTINUED, ''
         back = (self._start_ns - start_ns) / SECOND
-        if back > CLOCK_RESET:
-            return Place.REWOUND, f'the clock was set back by {back:.3f} s: start anew'
+        if max(back, self.gap) > CLOCK_RESET:
+            if leap is None or abs(start_ns - leap[1]) > self.tolerance * SECOND:
+                period = float(t[-1] - t[0]) / (t.size - 1) if t.size > 1 else self.step
+                self._leap = start_ns, start_ns + round(t.size * period * SECOND)
+                side = f'{back:.3f} s before' if back > 0.0 else f'{self.gap:.3f} s after'
+                return Place.DROPPED, (f'block dropped: stamped {side} the expected time, which '
+                                       'is believed when the next one goes on from it')
+            self.begun_ns = leap[0]
+            if back > 0.0:
+                return Place.REWOUND, f'the clock was set back by {back:.3f} s: start anew'
         if back == 0.0:
             return Place.DROPPED, 'block dropped: it has the stamp of the last one'
         if back > 0.0:

@@ -29,7 +29,7 @@ from railtrack_ros.vehicle.description import Vehicle, Wheel
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-LEAST_DAMPING = 0.02
+LEAST_DAMPING = 0.005
 
 # Iterations for the indentation of a damped contact.
 MOST_ITERATIONS = 30
@@ -146,8 +146,16 @@ def _stable(poles: ComplexArray) -> ComplexArray:
 
 
 def _discrete(zeros: ComplexArray, poles: ComplexArray, gain: float, rate: float) -> Array:
-    """Second-order sections of a filter at a sample rate [Hz]."""
-    return np.asarray(signal.zpk2sos(*signal.bilinear_zpk(zeros, poles, gain, rate)))
+    """Second-order sections of a filter at a sample rate [Hz].
+
+    A bilinear transform of roots that are shifted beforehand, so that resonances and
+    antiresonances stay at their frequencies; the gain for slow signals is kept.
+    """
+    shifted = [2.0 * rate * np.tanh(roots / (2.0 * rate)) for roots in (zeros, poles)]
+    for roots, new, sign in ((zeros, shifted[0], 1), (poles, shifted[1], -1)):
+        moved = np.abs(roots) > 1e-6
+        gain *= float(np.prod(roots[moved] / new[moved]).real) ** sign
+    return np.asarray(signal.zpk2sos(*signal.bilinear_zpk(*shifted, gain, rate)))
 
 
 @njit(cache=True, nogil=True)

@@ -65,7 +65,7 @@ PATIENT_INPUTS = {
     f'qos_overrides.{topic}.subscription.{name}': value
     for topic in (ACCELERATION_TOPIC, SPEED_TOPIC)
     for name, value in (('reliability', 'reliable'), ('depth', 3000))
-}
+} | {'shed_delay': 600.0}
 
 Say = Callable[[str], None]
 

@@ -22,12 +22,12 @@ class Argument:
     """An argument of a launch file.
 
     `kind` is bool, float, int or str. One that is left empty is not passed on, so that what the
-    parameter file says stays.
+    parameter file says stays. One whose default is None has to be given.
     """
 
     name: str
     description: str
-    default: str = ''
+    default: str | None = ''
     kind: type = str
 
     def read(self, text: str) -> Any:

@@ -14,6 +14,9 @@ def _keep_last(depth: int, reliability: ReliabilityPolicy,
 
 # A sensor never waits for a reader; a best-effort reader takes from either kind of publisher.
 SENSOR_INPUT = _keep_last(100, ReliabilityPolicy.BEST_EFFORT)
+# A second of single samples at 1 kHz.
+SINGLE_INPUT = _keep_last(1000, ReliabilityPolicy.BEST_EFFORT)
+
 RESULT = _keep_last(100, ReliabilityPolicy.RELIABLE)
 
 # What is said once and still told to those who come later.

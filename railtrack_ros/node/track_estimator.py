@@ -8,13 +8,18 @@ both by itself.
 from __future__ import annotations
 
 import copy
+import gc
+import os
 import sys
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.lifecycle import (
     LifecycleNode,
@@ -24,23 +29,28 @@ from rclpy.lifecycle import (
 )
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
-from rclpy.serialization import deserialize_message
-from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
 from railtrack_ros.bags import codec
+from railtrack_ros.bags.codec import WaveformBlock
 from railtrack_ros.bags.message_types import LIVE
 from railtrack_ros.errors import InputError
-from railtrack_ros.estimation.estimator import Estimator
+from railtrack_ros.estimation.estimator import EstimateBlock, Estimator
+from railtrack_ros.estimation.samples import SampleCollector
 from railtrack_ros.estimation.settings import EstimatorSettings, IndicatorSettings, declared
-from railtrack_ros.node import diagnostics, parameters
+from railtrack_ros.node import diagnostics, gnss, parameters
 from railtrack_ros.node.diagnostics import Picture
+from railtrack_ros.node.gnss import Locations
 from railtrack_ros.node.guard import Guard, Voice
+from railtrack_ros.node.inputs import Info, Input, arrival_ns, sent_ns
 from railtrack_ros.node.latency import Latency
+from railtrack_ros.node.limits import Limits
 from railtrack_ros.node.parameters import setting
-from railtrack_ros.node.qos import LATCHED, RESULT, SENSOR_INPUT, overridable
+from railtrack_ros.node.polarity import Polarity
+from railtrack_ros.node.qos import LATCHED, RESULT, SENSOR_INPUT, SINGLE_INPUT, overridable
 from railtrack_ros.node.runner import run
-from railtrack_ros.parameters import POSITIVE
+from railtrack_ros.node.watch import BlockWatch, SpeedWatch
+from railtrack_ros.parameters import POSITIVE, Range
 from railtrack_ros.runs import configuration
 from railtrack_ros.runs.results import CONFIGURATION, WAVEFORMS, ResultMessages
 from railtrack_ros.track.description import load_track
@@ -48,24 +58,42 @@ from railtrack_ros.vehicle.description import Vehicle, load_vehicle
 
 NAME = 'track_estimator'
 DIAGNOSTICS = 'diagnostics'
+POSITION = 'position'
 
 DIAGNOSTICS_PERIOD = 1.0  # s
-# Sample rate at which the compiled code is tried out before the first block, Hz.
+POSITION_PERIOD = codec.SECOND // 10  # ns
+# Rate [Hz], speed [m/s] and blocks of 10 ms that try out the compiled code before the first block.
 TRIAL_RATE = 25600.0
+TRIAL_SPEED = 40.0
+TRIAL_BLOCKS = 120
 
 OWN_SETTINGS = (
     setting('autostart', True, 'configure and activate at the start; false: wait to be told'),
     setting('track', 'mainline_soft_pads', 'shipped track or path of a YAML file'),
     setting('vehicle', 'measurement_coach', 'shipped vehicle or path of a YAML file'),
     setting('frame_id', 'base_link', "the vehicle's frame, in the header of the results"),
+    setting('acceleration_topic', 'axle_box_acceleration',
+            'topic of the acceleration; single samples come on a topic of their own for each axle '
+            'box, acceleration_topic/NAME'),
+    setting('acceleration_type', codec.WAVEFORM,
+            'message type of the acceleration: blocks of samples, or single samples of sensors of '
+            'up to about 1 kHz, whose z axis counts', '',
+            choices=(codec.WAVEFORM, codec.IMU, codec.ACCELERATION)),
+    setting('sample_block', 0.05, 'single samples are gathered to blocks of this length', 's',
+            Range(minimum=0.002, maximum=1.0)),
+    setting('speed_topic', 'speed', 'topic of the speed'),
     setting('speed_type', codec.TWIST, 'message type of the speed', '',
             choices=(codec.TWIST, codec.ODOMETRY)),
-    setting('latency_limit', 0.05, 'a longer delay of 1 % of the results is a warning', 's',
-            POSITIVE),
+    setting('gnss_topic', 'gnss', 'topic of sensor_msgs/msg/NavSatFix; nothing needs it'),
+    setting('gnss_table', '', 'CSV file that gets a line with track position, latitude and '
+            'longitude for each GNSS fix, for maps; empty: none'),
+    setting('shed_delay', 0.5, 'a block that has waited longer than this is dropped together with '
+            'all that wait behind it: the way out of an overload', 's', POSITIVE),
 )
-SETTINGS = (*OWN_SETTINGS, *declared(EstimatorSettings), *declared(IndicatorSettings))
+SETTINGS = (*OWN_SETTINGS, *declared(EstimatorSettings), *declared(IndicatorSettings),
+            *declared(Limits))
 # May change at any time; everything else is taken up when the node is configured.
-CHANGEABLE = ('latency_limit',)
+CHANGEABLE = ('shed_delay', *(item.name for item in declared(Limits)))
 
 
 class TrackEstimator(LifecycleNode):
@@ -86,9 +114,15 @@ class TrackEstimator(LifecycleNode):
         self.failure = ''
         self._configured = False
         self._publishers_by_topic: dict[str, LifecyclePublisher] = {}
-        self._inputs: dict[str, Subscription] = {}
+        self._inputs: list[Input] = []
+        self._blocks: list[Input] = []  # those of them with the acceleration
+        self._locations: Locations | None = None
         self._timer: Timer | None = None
         self._voice = Voice()
+        self._limits = Limits()
+        self._shed = 0
+        self._diagnosed = time.monotonic()
+        self._processor_time = time.process_time()
 
     @property
     def autostart(self) -> bool:
@@ -159,11 +193,15 @@ class TrackEstimator(LifecycleNode):
         self._configuration = LIVE.get(configuration.TYPE)(
             data=configuration.write_configuration(track, self._vehicle, settings, indicators))
         try_out(self._estimator, self._results, self._vehicle)
-        for topic, type_name in ResultMessages.topics(self._vehicle).items():
+        for topic, type_name in ResultMessages.topics(self._vehicle, indicators).items():
             self._offer(topic, f'~/{topic}', type_name, RESULT)
+        self._offer(POSITION, f'~/{POSITION}', codec.POINT, RESULT)
         self._offer(CONFIGURATION, f'~/{CONFIGURATION}', configuration.TYPE, LATCHED)
         self._offer(DIAGNOSTICS, '/diagnostics', codec.DIAGNOSTICS, RESULT)
         self._configured = True
+        # What is there now stays: the collector of garbage need not look at it again and again.
+        gc.collect()
+        gc.freeze()
         self.get_logger().info(
             f'{self._vehicle.name} on {track.name}: {len(self._vehicle.axle_boxes)} axle boxes, '
             f'model ready after {time.monotonic() - begun:.1f} s')
@@ -184,105 +222,198 @@ class TrackEstimator(LifecycleNode):
         self._publishers_by_topic.clear()
 
     def _subscribe(self) -> None:
-        log = self.get_logger()
-        self._guard = Guard(self._voice, log.warning, log.error)
+        own = parameters.values(self, OWN_SETTINGS)
+        names = [box.name for box in self._vehicle.axle_boxes]
+        self._guard = Guard(self._voice, self._warn, self._complain)
         self._latency = Latency()
-        self._lost = 0
-        self._next_number: int | None = None
-        self._subscribe_to('speed', self.get_parameter('speed_type').value, self._on_speed)
-        self._subscribe_to('~/set_position', codec.POINT, self._on_position)
-        self._subscribe_to('axle_box_acceleration', codec.WAVEFORM, self._on_acceleration)
-        self._before = self._picture()
-        self._diagnosed = time.monotonic()
-        self._timer = self.create_timer(DIAGNOSTICS_PERIOD, self._diagnose)
-        acceleration, speed = self._topic('axle_box_acceleration'), self._topic('speed')
-        log.info(f'ready: waiting for {acceleration} and {speed}')
+        self._watch, self._speed_watch = BlockWatch(names), SpeedWatch()
+        self._polarity = Polarity(self._vehicle)
+        self._locations = Locations(Path(own['gnss_table']) if own['gnss_table'] else None)
+        self._positioned_ns = -(2**62)
+        self._listen_to(own, names)
+        self._adopt_limits()
+        self._before, self._diagnosed = self._picture(), time.monotonic()
+        # Health goes by the time of day, also where a recording sets the clock of the node.
+        self._timer = self.create_timer(DIAGNOSTICS_PERIOD, self._diagnose,
+                                        clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.get_logger().info(
+            f'ready: waiting for {self._acceleration_topic} and {self._speed.topic}')
 
-    def _subscribe_to(self, name: str, type_name: str,
-                      take: Callable[[Any, Mapping[str, Any]], None]) -> None:
-        message_type = LIVE.get(type_name)
-        topic = self.resolve_topic_name(name)
+    def _listen_to(self, own: dict[str, Any], names: list[str]) -> None:
+        """Subscribe to the inputs."""
+        def listen(name: str, type_name: str, take: Callable[[Any, Info], None],
+                   qos: QoSProfile = SENSOR_INPUT, greedy: bool = False) -> Input:
+            found = Input(self, name, type_name, take, self._guard, qos, greedy)
+            self._inputs.append(found)
+            return found
 
-        def receive(data: bytes, info: Mapping[str, Any]) -> None:
-            self._guard.call(topic, lambda: take(decoded(data, message_type), info))
-
-        # As bytes: a message that cannot be decoded would otherwise vanish without a word.
-        self._inputs[name] = self.create_subscription(
-            message_type, name, receive, SENSOR_INPUT, raw=True,  # type: ignore[arg-type]
-            qos_overriding_options=overridable())
+        self._speed = listen(own['speed_topic'], own['speed_type'], self._on_speed, greedy=True)
+        listen('~/set_position', codec.POINT, self._on_position)
+        self._gnss = listen(own['gnss_topic'], gnss.NAVSATFIX, self._on_fix)
+        topic, type_name = own['acceleration_topic'], own['acceleration_type']
+        if type_name == codec.WAVEFORM:
+            self._blocks = [listen(topic, type_name, self._on_block)]
+            self._acceleration_topic = self._blocks[0].topic
+        else:
+            self._collector = SampleCollector(names, own['sample_block'])
+            self._blocks = [
+                listen(f'{topic}/{name}', type_name, partial(self._on_sample, name), SINGLE_INPUT,
+                       greedy=True)
+                for name in names]
+            self._acceleration_topic = f'{self.resolve_topic_name(topic)}/NAME'
 
     def _unsubscribe(self) -> None:
         if self._timer is not None:
             self.destroy_timer(self._timer)
             self._timer = None
-        for subscription in self._inputs.values():
-            self.destroy_subscription(subscription)
-        self._inputs.clear()
+        for source in self._inputs:
+            source.close()
+        self._inputs, self._blocks = [], []
+        if self._locations is not None:
+            self._locations.close()
 
     # Messages
 
-    def _on_speed(self, message: Any, info: Mapping[str, Any]) -> None:
-        self._estimator.add_speed(*codec.decode_speed(message))
+    def _on_speed(self, message: Any, info: Info) -> None:
+        stamp_ns, speed = codec.decode_speed(message)
+        self._estimator.add_speed(stamp_ns, speed)
+        self._speed_watch.add(stamp_ns, speed)
 
-    def _on_position(self, message: Any, info: Mapping[str, Any]) -> None:
+    def _on_position(self, message: Any, info: Info) -> None:
         self._estimator.set_position(*codec.decode_position(message))
 
-    def _on_acceleration(self, message: Any, info: Mapping[str, Any]) -> None:
+    def _on_fix(self, message: Any, info: Info) -> None:
+        assert self._locations is not None
+        self._locations.add_fix(*gnss.decode_fix(message))
+
+    def _on_block(self, message: Any, info: Info) -> None:
+        if not self._too_late(info):
+            self._estimate(codec.decode_waveform(message), info)
+
+    def _on_sample(self, name: str, message: Any, info: Info) -> None:
+        if self._too_late(info):
+            return
+        for block in self._collector.add(name, *codec.decode_sample(message)):
+            self._estimate(WaveformBlock(block.stamp_ns, block.t, block.channels), info)
+
+    def _too_late(self, info: Info) -> bool:
+        """Drop a message that has waited too long, with all that wait behind it.
+
+        Working them off would let every later one wait as long; dropping now and then some
+        would leave no stretch that is long enough for an estimate.
+        """
+        waited = 1e-9 * (time.time_ns() - arrival_ns(info))
+        if waited <= self._shed_delay:
+            return False
+        before = sum(source.shed for source in self._blocks)
+        for source in self._blocks:
+            source.discard_waiting()
+        self._shed += 1
+        count = 1 + sum(source.shed for source in self._blocks) - before
+        self._voice.say(f'overload: {count} messages dropped after {waited:.2f} s of waiting',
+                        self._complain)
+        return True
+
+    def _estimate(self, block: WaveformBlock, info: Info) -> None:
         # The executor takes one message of each topic in a round: after a delay a block would
         # overtake speed messages that have long been here.
-        take_waiting(self._inputs['speed'])
-        arrival_ns = int(info['received_timestamp']) or time.time_ns()
-        self._count_lost(info.get('publication_sequence_number'))
-        block = codec.decode_waveform(message)
+        self._speed.take_waiting()
         estimate = self._estimator.process(block.stamp_ns, block.t, block.channels)
         for note in self._estimator.take_notes():
-            self._voice.say(note, self.get_logger().warning)
-        if estimate is None:
-            return
-        for topic, result in self._results.block(estimate, self._frame_id):
-            self._publish(topic, result)
-            if topic == WAVEFORMS[-1]:
-                self._latency.add(arrival_ns, time.time_ns())
+            self._voice.say(note, self._warn)
+        if estimate is not None:
+            for topic, result in self._results.block(estimate, self._frame_id):
+                self._publish(topic, result)
+                if topic == WAVEFORMS[-1]:
+                    self._latency.add(arrival_ns(info), time.time_ns())
+            self._publish_position(estimate)
+            self._polarity.block(estimate.position, estimate.irregularity)
+        self._watch.block(block.stamp_ns, block.t, sent_ns(info), block.channels)
+
+    def _publish_position(self, estimate: EstimateBlock) -> None:
+        """Publish the track position every 0.1 s, and have fixes paired with it."""
+        assert self._locations is not None
+        self._locations.add_positions(estimate.stamp_ns, estimate.t, estimate.position)
+        end_ns = estimate.stamp_ns + round(float(estimate.t[-1]) * codec.SECOND)
+        position = float(estimate.position[-1])
+        if np.isfinite(position) and not 0 <= end_ns - self._positioned_ns < POSITION_PERIOD:
+            self._positioned_ns = end_ns
+            self._publish(POSITION, codec.encode_position(end_ns, position, self._frame_id, LIVE))
+
+    # rclpy refuses two severities from one line of a program.
+    def _warn(self, text: str) -> None:
+        self.get_logger().warning(text)
+
+    def _complain(self, text: str) -> None:
+        self.get_logger().error(text)
 
     def _publish(self, topic: str, message: Any) -> None:
         self._publishers_by_topic[topic].publish(message)
 
-    def _count_lost(self, number: int | None) -> None:
-        """Count gaps in the publisher's numbers; they mean nothing with several publishers."""
-        if number is None or self._inputs['axle_box_acceleration'].get_publisher_count() != 1:
-            self._next_number = None
-            return
-        if self._next_number is not None and self._next_number < number < self._next_number + 10**6:
-            self._lost += number - self._next_number
-        self._next_number = number + 1
-
     # Diagnostics
 
     def _diagnose(self) -> None:
+        self._adopt_limits()
         now, moment = self._picture(), time.monotonic()
         statuses = diagnostics.statuses(
             now, self._before, moment - self._diagnosed, self._vehicle,
-            self.get_fully_qualified_name().lstrip('/'), self.get_parameter('latency_limit').value)
+            self.get_fully_qualified_name().lstrip('/'), self._limits)
         self._before, self._diagnosed = now, moment
         stamp_ns = self.get_clock().now().nanoseconds
-        message = codec.encode_diagnostics(stamp_ns, statuses, LIVE)
-        self._publish(DIAGNOSTICS, message)
+        self._publish(DIAGNOSTICS, codec.encode_diagnostics(stamp_ns, statuses, LIVE))
+
+    def _adopt_limits(self) -> None:
+        """Take up the parameters that may change while the node runs."""
+        self._limits = Limits(**parameters.values(self, declared(Limits)))
+        self._shed_delay = float(self.get_parameter('shed_delay').value)
+        self._watch.full_scale = self._limits.full_scale
+        self._watch.jump_limit = self._limits.clock_jump_limit
 
     def _picture(self) -> Picture:
+        """Return how things stand, and begin to watch anew."""
+        assert self._locations is not None
+        stamps, signals = self._watch.take()
+        if self.get_parameter('use_sim_time').value and np.isfinite(stamps.offset):
+            # What counts is the clock that the stamps are of.
+            stamps.offset += 1e-9 * (self.get_clock().now().nanoseconds - time.time_ns())
+        moment, used = time.monotonic(), time.process_time()
+        period = max(moment - self._diagnosed, 1e-3)
+        load, self._processor_time = (used - self._processor_time) / period, used
         return Picture(
             health=self._estimator.health,
-            acceleration_topic=self._topic('axle_box_acceleration'),
-            speed_topic=self._topic('speed'),
-            publishers={subscription.topic_name: subscription.get_publisher_count()
-                        for subscription in self._inputs.values()},
-            refused=dict(self._guard.refused),
-            last_refusal=dict(self._guard.last),
-            lost=self._lost,
+            acceleration_topic=self._acceleration_topic,
+            speed_topic=self._speed.topic,
+            gnss_topic=self._gnss.topic,
+            publishers={
+                self._acceleration_topic: max(source.publishers for source in self._blocks),
+                self._speed.topic: self._speed.publishers,
+                self._gnss.topic: self._gnss.publishers,
+            },
+            refused=self._of_acceleration(self._guard.refused, sum),
+            last_refusal=self._of_acceleration(self._guard.last, lambda found: [*found][-1]),
+            lost=sum(source.lost for source in self._blocks),
+            shed=self._shed + sum(source.shed for source in self._blocks),
             latency=self._latency.figures(),
+            stamps=stamps,
+            signals=signals,
+            reversed=self._polarity.reversed(self._limits.polarity_limit),
+            includes_gravity=self._estimator.settings.input_includes_gravity,
+            speed_change=self._speed_watch.take(),
+            fixes=self._locations.fixes,
+            gnss_speed=self._locations.speed,
+            gnss_difference=self._locations.difference,
+            residuals={
+                name: {band: residual.share for band, residual in bands.items()}
+                for name, bands in self._estimator.model_residual().items()},
+            load=load,
+            memory=resident_memory(),
         )
 
-    def _topic(self, name: str) -> str:
-        return str(self._inputs[name].topic_name)
+    def _of_acceleration(self, by_topic: Mapping[str, Any], together: Callable[[Any], Any]
+                         ) -> dict[str, Any]:
+        """Return values by topic, those of all topics with acceleration under one name."""
+        own = [by_topic[source.topic] for source in self._blocks if source.topic in by_topic]
+        return {**by_topic, **({self._acceleration_topic: together(own)} if own else {})}
 
     # Parameters
 
@@ -303,34 +434,25 @@ class TrackEstimator(LifecycleNode):
         return SetParametersResult(successful=True)
 
 
-def take_waiting(subscription: Subscription) -> None:
-    """Call the callback of a subscription with every message that has arrived."""
-    handle = subscription.handle
-    while True:
-        with handle:
-            taken = handle.take_message(subscription.msg_type, subscription.raw)
-        if taken is None:
-            return
-        subscription.callback(*taken)
-
-
-def decoded(data: bytes, message_type: Any) -> Any:
-    """Return the message in CDR bytes; InputError where they are not of that type."""
+def resident_memory() -> int:
+    """Return the memory of this process in bytes, 0 where the system does not tell."""
     try:
-        return deserialize_message(data, message_type)
-    except Exception as error:
-        raise InputError(f'the bytes are not a {message_type.__name__}') from error
+        pages = int(Path('/proc/self/statm').read_text().split()[1])
+    except (OSError, ValueError, IndexError):
+        return 0
+    return pages * os.sysconf('SC_PAGE_SIZE')
 
 
 def try_out(estimator: Estimator, results: ResultMessages, vehicle: Vehicle) -> None:
-    """Run copies over a second of a standing start, so that compiling delays no real block."""
-    estimator, results = copy.deepcopy(estimator), copy.deepcopy(results)
-    samples = round(TRIAL_RATE / 100)
-    t = np.arange(samples) / TRIAL_RATE
-    channels = {box.name: np.zeros(samples) for box in vehicle.axle_boxes}
-    for index in range(-10, 100):
+    """Run copies until the first test of the model, so that compiling delays no real block."""
+    # The model of the track is shared: what it remembers of the trial serves the stream.
+    model = estimator._modes
+    estimator, results = copy.deepcopy(estimator, {id(model): model}), copy.deepcopy(results)
+    t = np.arange(round(TRIAL_RATE / 100)) / TRIAL_RATE
+    channels = {box.name: np.zeros(t.size) for box in vehicle.axle_boxes}
+    for index in range(-10, TRIAL_BLOCKS):
         stamp_ns = index * codec.SECOND // 100
-        estimator.add_speed(stamp_ns, 10.0)
+        estimator.add_speed(stamp_ns, TRIAL_SPEED)
         if index < 0:
             continue
         estimate = estimator.process(stamp_ns, t, channels)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from functools import partial
 
 from rclpy.node import Node
@@ -47,7 +48,9 @@ SETTINGS = (
     setting('block', 0.01, 'duration of a message', 's', POSITIVE),
     setting('seed', 1, 'of roughness and noise', '', NOT_NEGATIVE),
     setting('recording', '', 'bag to send instead of a computed run, with the stamps of today'),
-    setting('loop', False, 'begin again at the end of the run'),
+    setting('loop', False, 'go on with the beginning at the end of the run: a computed one without '
+            'a gap, a recording after a pause'),
+    setting('truth', True, 'send the true forces, deflections and irregularities as well'),
     setting('subscribers', 1, 'the run starts once so many subscribe to acceleration and speed',
             '', Range(minimum=0, maximum=100)),
     setting('patience', 60.0, 'longest time to wait for them', 's', NOT_NEGATIVE),
@@ -75,11 +78,15 @@ class VirtualVehicle(Node):
         messages: Callable[[], Iterable[RawMessage]]
         if given['recording']:
             recording = self._open(given['recording'])
-            messages, start_ns = partial(_recorded, recording), recording.bag.start_time
+            messages = partial(_recorded, recording, self._truth)
+            start_ns = recording.bag.start_time
         else:
             self._offer_computed()
             computed = self._compute()
             messages, start_ns = partial(iter, computed), computed[0].log_time
+            if given['loop']:
+                period_ns = round(given['duration'] * SECOND)
+                messages = partial(endless, computed, period_ns)
         wanted = dict.fromkeys((ACCELERATION_TOPIC, SPEED_TOPIC), given['subscribers'])
         if not self.playback.wait_for_subscribers(wanted, given['patience']):
             found = min(self.playback.subscribers(topic) for topic in wanted)
@@ -105,8 +112,13 @@ class VirtualVehicle(Node):
     def _offer_computed(self) -> None:
         self.playback.offer(ACCELERATION_TOPIC, 'sensor_msgs/msg/PointCloud2')
         self.playback.offer(SPEED_TOPIC, 'geometry_msgs/msg/TwistStamped')
-        for topic in TRUTH_TOPICS:
+        for topic in self._truth:
             self.playback.offer(topic, 'sensor_msgs/msg/PointCloud2')
+
+    @property
+    def _truth(self) -> tuple[str, ...]:
+        """Topics of the truth, if they are wanted."""
+        return TRUTH_TOPICS if self._given['truth'] else ()
 
     def _compute(self) -> list[RawMessage]:
         """Return all messages of a computed run, ready to be sent."""
@@ -119,6 +131,8 @@ class VirtualVehicle(Node):
                  'with the full model')
         messages, said, begun = [], time.monotonic(), time.monotonic()
         for event in run_events(track, vehicle, settings, frame_id=given['frame_id']):
+            if event.topic in TRUTH_TOPICS and not given['truth']:
+                continue
             message = event.message(OFFLINE, given['frame_id'])
             messages.append(RawMessage(event.topic, message.__msgtype__, event.due_ns,
                                        OFFLINE.serialize(message)))
@@ -132,13 +146,13 @@ class VirtualVehicle(Node):
     def _open(self, path: str) -> Run:
         """Open a recording and offer its topics."""
         recording = read_run(path)
-        for topic in _topics(recording):
+        for topic in _topics(recording, self._truth):
             self.playback.offer(_canonical(recording, topic), recording.bag.topics[topic].type)
         return recording
 
 
-def _topics(recording: Run) -> list[str]:
-    truth = [topic for topic in TRUTH_TOPICS if topic in recording.bag.topics]
+def _topics(recording: Run, truth_topics: Collection[str]) -> list[str]:
+    truth = [topic for topic in truth_topics if topic in recording.bag.topics]
     return [recording.acceleration_topic, recording.speed_topic, *truth]
 
 
@@ -148,8 +162,23 @@ def _canonical(recording: Run, topic: str) -> str:
     return names.get(topic, topic)
 
 
-def _recorded(recording: Run) -> Iterator[RawMessage]:
-    for message in ahead(recording.bag.messages(_topics(recording))):
+def endless(messages: Sequence[RawMessage], period_ns: int) -> Iterator[RawMessage]:
+    """Yield the messages of a run again and again, each round a period [ns] later.
+
+    What belongs to the time before the run comes in the first round only.
+    """
+    first_ns = min(m.log_time for m in messages if m.topic == ACCELERATION_TOPIC)
+    end_ns = max(m.log_time for m in messages if m.topic == ACCELERATION_TOPIC)
+    for shift_ns in itertools.count(0, period_ns):
+        for message in messages:
+            if end_ns - period_ns < message.log_time <= end_ns or (
+                    not shift_ns and message.log_time < first_ns):
+                yield message._replace(log_time=message.log_time + shift_ns,
+                                       data=restamped(message.data, shift_ns))
+
+
+def _recorded(recording: Run, truth: Collection[str]) -> Iterator[RawMessage]:
+    for message in ahead(recording.bag.messages(_topics(recording, truth))):
         yield message._replace(topic=_canonical(recording, message.topic))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 # What a curve stands for, in the order in which curves are drawn over one another.
-ROLES = ('truth', 'measured', 'full_model', 'estimated')
+ROLES = ('truth', 'measured', 'full_model', 'estimated', 'first', 'second')
 
 
 @dataclass(frozen=True)
@@ -68,21 +69,27 @@ class BandError:
     """Deviation between two signals in one-third octaves of frequency.
 
     ``frequency`` (k,) [Hz]; ``level_difference`` (k,) [dB], level of the first signal minus that
-    of the second; ``wavelength`` (k,) [m] at the mean speed.
+    of the second; ``wavelength`` (k,) [m] at the mean speed; ``coherence`` (k,) from 0 to 1, NaN
+    or None where it is not known.
     """
 
     frequency: Array
     wavelength: Array
     level_difference: Array
+    coherence: Array | None = None
 
 
 @dataclass(frozen=True)
 class ErrorPlot:
-    """Band errors of one quantity: a pair such as 'estimated - true' -> axle box -> error."""
+    """Band errors of one quantity: a pair such as 'estimated - true' -> axle box -> error.
+
+    ``over`` says what they are drawn over: 'frequency' or 'wavelength'.
+    """
 
     title: str
     pairs: Mapping[str, Mapping[str, BandError]]
     remark: str = ''
+    over: str = 'frequency'
 
 
 @dataclass(frozen=True)
@@ -118,6 +125,15 @@ class Table:
 
 
 @dataclass(frozen=True)
+class Card:
+    """A part of the page: figures, each with heading, remark and a Plotly figure, and tables."""
+
+    title: str
+    figures: Sequence[tuple[str, str, Any]] = ()
+    tables: Sequence[Table] = ()
+
+
+@dataclass(frozen=True)
 class Report:
     """Everything on the page; parts that are None or empty are left out."""
 
@@ -137,3 +153,4 @@ class Report:
     methods: Sequence[str] = ()
     highlight: tuple[float, float] | None = None   # [m] stretch of track marked in the strip chart
     axle_box: str = ''                             # shown first; else the first one
+    cards: Sequence[Card] = ()                     # shown before all others

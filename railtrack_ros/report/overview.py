@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from railtrack_ros.errors import InputError
 from railtrack_ros.report import sections, style
 from railtrack_ros.report.content import ROLES, Indicators, Report, WaveformPlot
+from railtrack_ros.report.curves import LOOK
 
 VIEW = 1.6          # [m] of a waveform
 
@@ -30,12 +31,7 @@ def draw_overview(path: str | Path, report: Report, dots_per_inch: int = 150) ->
                          'irregularity')
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    with matplotlib.rc_context({
-        'font.size': 10, 'axes.edgecolor': '#b8c0c8', 'axes.labelcolor': style.MUTED,
-        'text.color': style.INK, 'xtick.color': style.MUTED, 'ytick.color': style.MUTED,
-        'axes.spines.top': False, 'axes.spines.right': False, 'axes.grid': True,
-        'grid.color': style.GRID, 'axes.axisbelow': True, 'legend.frameon': False,
-    }):
+    with matplotlib.rc_context(LOOK):
         figure = Figure(figsize=(9.6, 7.4), layout='constrained', facecolor='white')
         along, upper, lower = figure.subplots(3, 1, height_ratios=[1.05, 1, 1])
         _strip(along, report.indicators)

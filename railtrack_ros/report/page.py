@@ -55,6 +55,10 @@ class _Page:
 
 
 def _cards(report: Report, page: _Page) -> Iterable[str]:
+    for card in report.cards:
+        yield _card(card.title, *(
+            f'<h3>{escape(heading)}</h3>{_note(remark)}{page.figure(figure, heading)}'
+            for heading, remark, figure in card.figures), *map(_table, card.tables))
     if report.indicators is not None and report.indicators.rows:
         found = sections.exceedances(report.indicators)
         parts = [
@@ -89,7 +93,8 @@ def _cards(report: Report, page: _Page) -> Iterable[str]:
         for error in report.errors:
             parts += [f'<h3>{escape(error.title)}</h3>', _note(error.remark),
                       page.figure(plots.band_errors(error), error.title)]
-        yield _card('How well they agree', *parts, *(_table(t) for t in report.tables))
+        title = 'How well they agree' if report.errors else 'In figures'
+        yield _card(title, *parts, *(_table(t) for t in report.tables))
     if report.latency is not None and report.latency.delay.size:
         yield _card('Live latency', _note(report.latency.definition),
                     page.figure(plots.latency(report.latency), 'latency'))

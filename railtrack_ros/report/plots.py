@@ -22,6 +22,7 @@ from railtrack_ros.report.content import (
 WAVELENGTH_TICKS = (2.0, 1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005)
 FREQUENCY_TICKS = (20, 50, 100, 200, 500, 1000, 2000, 5000)
 FIRST_VIEW = 3.0      # [m] of a waveform
+COARSE = 0.5          # [m] between values that are no waveform: all of them are shown
 
 
 def waveforms(plot: WaveformPlot) -> go.Figure:
@@ -40,8 +41,10 @@ def waveforms(plot: WaveformPlot) -> go.Figure:
             ))
     figure.update_layout(hovermode='x unified')
     figure.update_xaxes(title_text='position of the axle box on the track [m]',
-                        hoverformat='.3f', tickformat='~f', range=_first_view(plot),
-                        rangeslider={'thickness': 0.1, 'bgcolor': '#f6f8fa'})
+                        hoverformat='.3f', tickformat='~f')
+    if min((wave.step for wave in plot.axle_boxes.values()), default=0.0) < COARSE:
+        figure.update_xaxes(range=_first_view(plot),
+                            rangeslider={'thickness': 0.1, 'bgcolor': '#f6f8fa'})
     return figure
 
 
@@ -88,12 +91,24 @@ def spectra(found: Mapping[str, Spectrum]) -> go.Figure:
 
 
 def band_errors(plot: ErrorPlot) -> go.Figure:
-    """Draw level differences over frequency: the chosen axle box, and the range of all."""
-    figure = _figure(290, 'level difference [dB]')
+    """Draw level differences, and coherence below, over frequency.
+
+    Lines: the chosen axle box; shades: the range of all.
+    """
+    with_coherence = any(_known(e.coherence) for boxes in plot.pairs.values()
+                         for e in boxes.values())
+    figure = make_subplots(rows=2 if with_coherence else 1, cols=1, shared_xaxes=True,
+                           vertical_spacing=0.07, row_heights=[0.62, 0.38] if with_coherence
+                           else None)
+    _layout(figure, 430 if with_coherence else 290)
     reach = 1.0
     for (pair, boxes), colour in zip(plot.pairs.items(), style.PAIR_COLOURS, strict=False):
         shown = next(iter(boxes), None)
-        frequency = next(iter(boxes.values())).frequency
+        longest = max(boxes.values(), key=lambda b: b.wavelength.size)
+        if any(b.wavelength.size != longest.wavelength.size for b in boxes.values()):
+            boxes = {name: b for name, b in boxes.items()
+                     if b.wavelength.size == longest.wavelength.size}
+        frequency = getattr(longest, plot.over)
         together = np.array([b.level_difference for b in boxes.values()])
         good = np.isfinite(together).any(axis=0)
         low, high = (f(together[:, good], axis=0) for f in (np.nanmin, np.nanmax))
@@ -103,20 +118,37 @@ def band_errors(plot: ErrorPlot) -> go.Figure:
             y=_short(np.concatenate([high, low[::-1]])), fill='toself', mode='lines',
             line={'width': 0}, fillcolor=_faint(colour, 0.16), name=f'{pair}, range',
             hoverinfo='skip', showlegend=False,
-        ))
+        ), row=1, col=1)
         for name, error in boxes.items():
+            curve = {'x': _short(getattr(error, plot.over)), 'name': pair, 'mode': 'lines+markers',
+                     'line': {'color': colour, 'width': 2}, 'marker': {'size': 5},
+                     'meta': {'axle_box': name}, 'visible': name == shown, 'legendgroup': pair,
+                     'customdata': _short(error.wavelength * 1e3)}
             figure.add_trace(go.Scatter(
-                x=_short(error.frequency), y=_short(error.level_difference), name=pair,
-                mode='lines+markers', line={'color': colour, 'width': 2}, marker={'size': 5},
-                meta={'axle_box': name}, visible=name == shown, customdata=_short(
-                    error.wavelength * 1e3),
-                hovertemplate='%{y:+.2f} dB (%{customdata:.3~g} mm)',
-            ))
-    figure.update_yaxes(range=[-1.15 * reach, 1.15 * reach])
-    figure.update_xaxes(title_text='frequency [Hz], one-third octaves', type='log',
-                        **_ticks(FREQUENCY_TICKS))
+                y=_short(error.level_difference),
+                hovertemplate='%{y:+.2f} dB (%{customdata:.3~g} mm)', **curve), row=1, col=1)
+            if error.coherence is not None and _known(error.coherence):
+                figure.add_trace(go.Scatter(
+                    y=_short(error.coherence), showlegend=False,
+                    hovertemplate='coherence %{y:.3f}', **curve), row=2, col=1)
+    figure.update_yaxes(range=[-1.15 * reach, 1.15 * reach], row=1, col=1)
+    figure.update_yaxes(title_text='level difference [dB]', row=1, col=1)
+    if with_coherence:
+        figure.update_yaxes(title_text='coherence', range=[0, 1.05], row=2, col=1)
+    if plot.over == 'wavelength':
+        figure.update_xaxes(type='log', autorange='reversed', **_ticks(WAVELENGTH_TICKS))
+    else:
+        figure.update_xaxes(type='log', **_ticks(FREQUENCY_TICKS))
+    axis = 'wavelength [m]' if plot.over == 'wavelength' else 'frequency [Hz]'
+    figure.update_xaxes(title_text=f'{axis}, one-third octaves',
+                        row=2 if with_coherence else 1, col=1)
     figure.update_layout(hovermode='x unified')
     return figure
+
+
+def _known(values: Array | None) -> bool:
+    """Tell whether there is anything to draw."""
+    return values is not None and bool(np.isfinite(values).any())
 
 
 def latency(data: Latency) -> go.Figure:

@@ -29,6 +29,8 @@ LINES = {
     'measured': Line('measured', '#aab4be', 4.5),
     'full_model': Line('full model', '#e0800a', 2.0),
     'estimated': Line('estimated', '#1456a0', 1.3),
+    'first': Line('first', '#aab4be', 4.0),
+    'second': Line('second', '#1456a0', 1.6),
     'limit': Line('ISO 3095 limit', LIMIT, 1.6, 'dash'),
 }
 

@@ -6,10 +6,11 @@ speaks of the signals and not of the filters.
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,8 @@ USABLE = 0.4               # of the sample rate
 EDGE = 3.0                 # periods of the lowest frequency lost at either end of a filtered piece
 OVERSAMPLING = 2.56        # samples per period of the band's upper end
 SHORTEST = 100             # samples: a shorter piece is not compared
+COHERENCE_PERIODS = 4.0    # longest periods in a segment of the spectra that coherence is of
+FEWEST_SEGMENTS = 8        # of half-overlapping segments: fewer make any two signals coherent
 
 
 @dataclass(frozen=True)
@@ -123,18 +126,26 @@ class BandLevels:
     """Two signals in one-third octaves of 1/step: levels and the level of their difference.
 
     centre (k,): exact centres in units of `step` (period [s] or wavelength [m]), from long to
-    short; RMS values (k,) in the signals' own unit.
+    short; RMS values (k,) in the signals' own unit; coherence (k,) from 0 to 1, NaN where the
+    record is too short to tell.
     """
 
     centre: Array
     compared: Array
     reference: Array
     difference: Array
+    coherence: Array
 
     @property
     def level_difference(self) -> Array:
         """Level of the compared signal minus level of the reference (k,) [dB]."""
         return decibels(self.compared, self.reference)
+
+    def lines(self) -> Iterator[tuple[float, float, float, float, float]]:
+        """Return centre, the three RMS values and coherence, band by band."""
+        return iter(zip(*(x.tolist() for x in (
+            self.centre, self.compared, self.reference, self.difference, self.coherence)),
+            strict=True))
 
 
 def band_levels(compared: Array, reference: Array, step: float, longest: float,
@@ -150,7 +161,38 @@ def band_levels(compared: Array, reference: Array, step: float, longest: float,
     inside = (centre * HALF_BAND <= longest * 1.0001) & (centre / HALF_BAND >= shortest * 0.9999)
     if not inside.any():
         return None
-    return BandLevels(centre[inside], *(REFERENCE * 10.0 ** (v[inside] / 20.0) for v in levels))
+    first, second, difference = (REFERENCE * 10.0 ** (v[inside] / 20.0) for v in levels)
+    return BandLevels(centre[inside], first, second, difference,
+                      band_coherence(compared, reference, step, longest, centre[inside]))
+
+
+def band_coherence(compared: Array, reference: Array, step: float, longest: float,
+                   centre: Array) -> Array:
+    """Return the coherence (k,) of two gapless signals (n,) in one-third octaves.
+
+    The magnitude-squared coherence of averaged Hann-weighted spectra (half-overlapping segments of
+    four times the longest period), averaged over each band with the power of the reference as
+    weight: 1 where one signal is the other through a linear filter, near 0 for strangers.
+    """
+    segment = round(COHERENCE_PERIODS * longest / step)
+    if segment < 8 or compared.size < (FEWEST_SEGMENTS + 1) * segment // 2:
+        return np.full(centre.size, np.nan)
+    frequency, cross = signal.csd(reference, compared, fs=1.0 / step, nperseg=segment)
+    power = [signal.welch(x, fs=1.0 / step, nperseg=segment)[1] for x in (reference, compared)]
+    with np.errstate(divide='ignore', invalid='ignore'):
+        coherence = np.abs(cross) ** 2 / (power[0] * power[1])
+    known = np.isfinite(coherence)
+    weight = np.where(known, power[0], 0.0)
+    running = [np.append(0.0, np.cumsum(x)) for x in (np.where(known, coherence, 0.0) * weight,
+                                                      weight)]
+    edges = np.append(frequency, 2.0 * frequency[-1] - frequency[-2]) - 0.5 * frequency[1]
+
+    def within(table: Array) -> Array:
+        return np.asarray(np.interp(HALF_BAND / centre, edges, table)
+                          - np.interp(1.0 / HALF_BAND / centre, edges, table))
+
+    with np.errstate(divide='ignore', invalid='ignore'):
+        return within(running[0]) / within(running[1])
 
 
 def _levels(step: float, longest: float, *signals: Array) -> list[Array]:
@@ -175,8 +217,10 @@ def decibels(compared: Array | float, reference: Array | float) -> Array:
 class Error:
     """One line of the error table.
 
-    band: 'all', 'frequency' or 'wavelength' (which of the two centres is exact; the other one
-    follows from the mean speed); RMS values in the quantity's own unit.
+    band: 'all', 'section' (all frequencies, one section of track from `begin` to `end` [m] at the
+    axle box's own place), 'frequency' or 'wavelength' (which of the two centres is exact; the
+    other one follows from the mean speed); RMS values in the quantity's own unit. samples: how
+    many it is over, the weight where lines of several pieces are put together.
     """
 
     quantity: str
@@ -189,6 +233,10 @@ class Error:
     rms_compared: float
     rms_reference: float
     rms_difference: float
+    samples: int = 0
+    coherence: float = math.nan
+    begin: float = math.nan
+    end: float = math.nan
 
     @property
     def level_difference(self) -> float:
@@ -227,17 +275,71 @@ def errors(quantity: str, axle_box: str, compared: tuple[str, Array], reference:
     run = distance[part][::band.every] - distance[part.start]
     speed = run[-1] / (step * (run.size - 1))
     names = (quantity, axle_box, compared[0], reference[0])
+    count, size = int(both.sum()), part.stop - part.start
     lines = [Error(*names, 'all', np.nan, np.nan, rms(compared[1][both]), rms(reference[1][both]),
-                   rms((compared[1] - reference[1])[both]))]
+                   rms((compared[1] - reference[1])[both]), count)]
     found = band_levels(a, b, step, 1.0 / band.low, 1.0 / band.high)
     if found is not None:
-        lines += [Error(*names, 'frequency', 1.0 / c, speed * c, *values) for c, *values in zip(
-            found.centre, found.compared, found.reference, found.difference, strict=True)]
+        lines += [Error(*names, 'frequency', 1.0 / c, speed * c, x, y, xy, size, coherence)
+                  for c, x, y, xy, coherence in found.lines()]
     if speed > 0.0 and (np.diff(run) > 0.0).all():
         grid = np.arange(0.0, run[-1], speed * step)
         found = band_levels(np.interp(grid, run, a), np.interp(grid, run, b), speed * step,
                             speed / band.low, speed / band.high)
         if found is not None:
-            lines += [Error(*names, 'wavelength', speed / c, c, *values) for c, *values in zip(
-                found.centre, found.compared, found.reference, found.difference, strict=True)]
+            lines += [Error(*names, 'wavelength', speed / c, c, x, y, xy, size, coherence)
+                      for c, x, y, xy, coherence in found.lines()]
     return lines
+
+
+def section_errors(quantity: str, axle_box: str, compared: tuple[str, Array],
+                   reference: tuple[str, Array], place: Array, length: float) -> list[Error]:
+    """Error table of a pair of band-limited signals (n,) by sections of `length` [m] of track.
+
+    Parameters
+    ----------
+    place
+        (n,) the axle box's own track position [m].
+    """
+    both = np.isfinite(compared[1]) & np.isfinite(reference[1]) & np.isfinite(place)
+    index = np.floor(place[both] / length).astype(np.int64)
+    a, b = compared[1][both], reference[1][both]
+    lines = []
+    for number in np.unique(index):
+        there = index == number
+        if there.sum() >= SHORTEST:
+            lines.append(Error(
+                quantity, axle_box, compared[0], reference[0], 'section', np.nan, np.nan,
+                rms(a[there]), rms(b[there]), rms((a - b)[there]), int(there.sum()),
+                begin=float(number * length), end=float((number + 1) * length)))
+    return lines
+
+
+def merged(tables: Iterable[Sequence[Error]]) -> list[Error]:
+    """Return one error table of those of several pieces of a run.
+
+    Mean squares and coherence are averaged with the samples as weights, line by line.
+    """
+    together: dict[tuple[Any, ...], list[Error]] = {}
+    for line in itertools.chain.from_iterable(tables):
+        exact = line.wavelength if line.band == 'wavelength' else line.frequency
+        centre = None if math.isnan(exact) else round(10.0 * math.log10(exact))
+        begin = None if math.isnan(line.begin) else line.begin
+        together.setdefault((line.quantity, line.axle_box, line.compared, line.reference,
+                             line.band, centre, begin), []).append(line)
+    return [_mean(lines) if len(lines) > 1 else lines[0] for lines in together.values()]
+
+
+def _mean(lines: Sequence[Error]) -> Error:
+    weight = np.array([line.samples for line in lines], dtype=float)
+
+    def mean(values: Iterable[float]) -> float:
+        x = np.array(list(values))
+        known = np.isfinite(x)
+        return float(np.average(x[known], weights=weight[known])) if known.any() else math.nan
+
+    squares: dict[str, Any] = {name: math.sqrt(mean(getattr(line, name) ** 2 for line in lines))
+               for name in ('rms_compared', 'rms_reference', 'rms_difference')}
+    means: dict[str, Any] = {name: mean(getattr(line, name) for line in lines)
+             for name in ('frequency', 'wavelength', 'coherence')}
+    return replace(lines[0], **squares, **means, samples=int(weight.sum()))

@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
+from railtrack_ros.bags.signals import Decimator
 from railtrack_ros.dynamics.newmark import FullModel
-from railtrack_ros.runs.virtual_run import Decimator
 from railtrack_ros.track.bay import Bay
+from railtrack_ros.track.row import BayRow
 from railtrack_ros.vehicle.description import Vehicle
 
 Array = NDArray[np.float64]
@@ -39,7 +40,7 @@ def oversampling(time_step: float, longest_step: float) -> int:
 class DrivenModel:
     """The wheels of one rail, fed with sampled irregularity, chunk after chunk."""
 
-    def __init__(self, bay: Bay, vehicle: Vehicle, rail: str, start_position: float,
+    def __init__(self, bay: Bay | BayRow, vehicle: Vehicle, rail: str, start_position: float,
                  time_step: float, longest_step: float = LONGEST_STEP) -> None:
         """Take a sample period [s]; the model's own step is a whole fraction of it."""
         self.boxes = vehicle.on_rail(rail)
@@ -66,7 +67,7 @@ class DrivenModel:
                 for decimator, quantity in zip(self._decimators, QUANTITIES, strict=True)]
 
 
-def drive(bay: Bay, vehicle: Vehicle, position: Array, irregularity: Mapping[str, Array],
+def drive(bay: Bay | BayRow, vehicle: Vehicle, position: Array, irregularity: Mapping[str, Array],
           time_step: float, longest_step: float = LONGEST_STEP,
           progress: Callable[[float], None] = lambda share: None
           ) -> dict[str, dict[str, Array]]:
@@ -74,6 +75,8 @@ def drive(bay: Bay, vehicle: Vehicle, position: Array, irregularity: Mapping[str
 
     Parameters
     ----------
+    bay
+        A periodic linear track's bay, or the row of bays of any track.
     position
         (n,) track position of the vehicle's reference point [m].
     irregularity

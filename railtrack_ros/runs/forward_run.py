@@ -153,6 +153,26 @@ class NewmarkOptions:
 
 
 @dataclass(frozen=True)
+class OnlineOptions:
+    """What only the online solvers take; None for the solver's own default.
+
+    hold: how forces run within a time step. memory [s] of irf; cut_off [Hz] of the poles and
+    bays_in_ring of recursive.
+    """
+
+    hold: str | None = None
+    memory: float | None = None
+    cut_off: float | None = None
+    bays_in_ring: int | None = None
+
+
+# What the solvers take of it, and how they call it.
+ONLINE: dict[str, dict[str, str]] = {
+    'newmark': {}, 'irf': {'hold': 'hold', 'memory': 'memory'},
+    'recursive': {'hold': 'hold', 'cut_off': 'maximum_frequency', 'bays_in_ring': 'bays'}}
+
+
+@dataclass(frozen=True)
 class ForwardSettings:
     """What is driven: positions in metres along the track, time step in seconds."""
 
@@ -163,12 +183,20 @@ class ForwardSettings:
     distance: float | None = None  # the whole speed history unless given
     irregularity: tuple[Part, ...] = ()  # smooth without
     newmark: NewmarkOptions = field(default_factory=NewmarkOptions)
+    online: OnlineOptions = field(default_factory=OnlineOptions)
 
 
 def make_solver(settings: ForwardSettings, track: Bay | BayRow, vehicle: Vehicle,
                 offsets: list[float]) -> Solver:
     """The solver of the settings for the wheels of one rail."""
     dt, start = settings.time_step, settings.start
+    online = {name: value for name, value in dataclasses.asdict(settings.online).items()
+              if value is not None}
+    for name in online:
+        if name not in ONLINE[settings.solver]:
+            who = ' and '.join(key for key, names in ONLINE.items() if name in names)
+            raise InputError(f'{name}: the solver {settings.solver} does not have it, only {who}')
+    online = {ONLINE[settings.solver][name]: value for name, value in online.items()}
     if settings.solver == 'newmark':
         from railtrack_ros.dynamics.newmark import FullModel
 
@@ -182,10 +210,10 @@ def make_solver(settings: ForwardSettings, track: Bay | BayRow, vehicle: Vehicle
     if settings.solver == 'irf':
         from railtrack_ros.dynamics.irf import IrfForward
 
-        return IrfForward(track, vehicle, offsets, dt, start)
+        return IrfForward(track, vehicle, offsets, dt, start, **online)
     from railtrack_ros.dynamics.recursive import RecursiveForward
 
-    return RecursiveForward(track, vehicle, offsets, dt, start)
+    return RecursiveForward(track, vehicle, offsets, dt, start, **online)
 
 
 @dataclass(frozen=True)

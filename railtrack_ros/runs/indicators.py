@@ -2,36 +2,49 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
+
+import yaml
 
 from railtrack_ros.bags.bag import Bag, open_bag
 from railtrack_ros.bags.codec import WAVEFORM, decode_waveform
 from railtrack_ros.errors import InputError
-from railtrack_ros.estimation.indicators import (
-    COLUMNS,
-    HasAxleBoxes,
-    Section,
-    SectionIndicators,
-)
+from railtrack_ros.estimation.analysis import Analysis, TrackAnalysis
+from railtrack_ros.estimation.indicators import HasAxleBoxes, SectionIndicators
+from railtrack_ros.estimation.section import Judge, Section
 from railtrack_ros.estimation.settings import IndicatorSettings
-from railtrack_ros.output import write_csv
 from railtrack_ros.runs import configuration
 from railtrack_ros.runs.configuration import Configuration
 from railtrack_ros.runs.estimate import NODE
+from railtrack_ros.runs.indicator_tables import Geography, Places, write_table
 from railtrack_ros.runs.results import CONFIGURATION
 from railtrack_ros.vehicle.description import Vehicle
 
 IRREGULARITY = 'irregularity'
+FIX = 'sensor_msgs/msg/NavSatFix'
+
+FILTERS = ('causal', 'zero-phase')
 
 
 @dataclass(frozen=True)
 class Indicated:
-    """The sections, sorted by axle box and place, and what was wrong with the input."""
+    """What was found in a recording.
+
+    sections: by axle box and place, through the causal filters or those without delay as asked.
+    defects: what was wrong with the input. analysis: of the rails, where it was asked for; judge:
+    its settings and limits. content: what the recording says it was computed with (the YAML of
+    its configuration), empty if nothing. geography: places by position, as the recording tells.
+    """
 
     sections: list[Section]
     defects: list[str]
+    judge: Judge
+    analysis: Analysis | None = None
+    content: Mapping[str, Any] = field(default_factory=dict)
+    geography: Geography | None = None
 
 
 def indicators(
@@ -40,6 +53,8 @@ def indicators(
     vehicle: Vehicle | None = None,
     topic: str | None = None,
     progress: Callable[[float, float], None] = lambda done, total: None,
+    filters: str = 'causal',
+    analyse: bool = False,
 ) -> Indicated:
     """Sum up the irregularity of a recording in sections.
 
@@ -50,11 +65,15 @@ def indicators(
     settings
         How sections are made.
     vehicle
-        Its axle boxes; None: as the recording tells.
+        Its axle boxes and wheels; None: as the recording tells.
     topic
         Waveform of irregularity with positions; None: that of the estimator.
     progress
         Called with the seconds that are done, and all of them.
+    filters
+        Of the sections: 'causal', the numbers of the live node, or 'zero-phase'.
+    analyse
+        Whether to analyse the rails, too: wheels set apart, axle boxes fused.
 
     Raises
     ------
@@ -64,16 +83,27 @@ def indicators(
     """
     with open_bag(bag) as opened:
         topic = irregularity_topic(opened, topic)
-        known = _configuration(opened, topic)
+        known, content = _configuration(opened, topic)
         layout = _layout(opened, known, vehicle)
-        stream = SectionIndicators(layout, settings, known.estimator if known else None)
+        estimator = known.estimator if known else None
+        stream = SectionIndicators(layout, settings, estimator)
+        analysis = None
+        if analyse or filters == 'zero-phase':
+            radius = vehicle.wheel.radius if vehicle else _wheel_radius(content)
+            analysis = TrackAnalysis(
+                layout, settings, estimator, stream.judge.limits, radius if analyse else None)
         sections: list[Section] = []
         defects: list[str] = []
         start, total = opened.start_time, (opened.end_time - opened.start_time) / 1e9
         names: set[str] = set()
-        for message in opened.messages({topic}):
+        places = Places()
+        fixes = {name for name, item in opened.topics.items() if item.type == FIX}
+        for message in opened.messages({topic, *fixes}):
             seconds = (message.log_time - start) / 1e9
             try:
+                if message.topic in fixes:
+                    places.add_fix(opened.decode(message))
+                    continue
                 block = decode_waveform(opened.decode(message))
                 if block.position is None:
                     raise InputError(f'{topic}: has no field position')
@@ -81,9 +111,16 @@ def indicators(
                 defects.append(f'{bag}: message at {seconds:.3f} s: {error}')
                 continue
             names.update(block.channels)
-            sections += stream.feed(block.t, block.position, block.channels)
+            places.add_position(block.stamp_ns, float(block.position[0]))
+            if filters == 'causal':
+                sections += stream.feed(block.t, block.position, block.channels)
+            if analysis is not None:
+                analysis.feed(block.t, block.position, block.channels)
             progress(seconds, total)
         sections += stream.finish()
+        found = analysis.finish() if analysis is not None else None
+        if found is not None and filters == 'zero-phase':
+            sections = found.combined
         defects += [f'{bag}: {note}' for note in opened.notes]
     order = {box.name: number for number, box in enumerate(layout.axle_boxes)}
     if not names.intersection(order):
@@ -98,13 +135,13 @@ def indicators(
             f'irregularity on {topic}; try shorter sections'
         )
     sections.sort(key=lambda section: (order[section.axle_box], section.start))
-    return Indicated(sections, defects)
+    return Indicated(sections, defects, stream.judge, found if analyse else None, content,
+                     places.geography())
 
 
 def write_sections(path: str | Path, sections: Sequence[Section]) -> None:
-    """Write sections as CSV; what could not be resolved is empty."""
-    rows = [section.row() for section in sections]
-    write_csv(path, {name: [row[name] for row in rows] for name in COLUMNS})
+    """Write sections as a table; what could not be resolved is empty."""
+    write_table(path, [section.row() for section in sections])
 
 
 def irregularity_topic(bag: Bag, wanted: str | None) -> str:
@@ -139,15 +176,21 @@ def irregularity_topic(bag: Bag, wanted: str | None) -> str:
     )
 
 
-def _configuration(bag: Bag, topic: str) -> Configuration | None:
-    """Return what the recording says of its estimate."""
+def _configuration(bag: Bag, topic: str) -> tuple[Configuration | None, dict[str, Any]]:
+    """Return what the recording says of its estimate, checked and as it stands there."""
     name = f'{topic.rsplit("/", 1)[0]}/{CONFIGURATION}'
     if name not in bag.topics or bag.topics[name].type != configuration.TYPE:
-        return None
+        return None, {}
     for message in bag.messages({name}):
         text = bag.decode(message).data
-        return configuration.read_configuration(text, f'{bag.path}: {name}')
-    return None
+        known = configuration.read_configuration(text, f'{bag.path}: {name}')
+        return known, yaml.safe_load(text)
+    return None, {}
+
+
+def _wheel_radius(content: Mapping[str, Any]) -> float | None:
+    radius = content.get('vehicle', {}).get('wheel', {}).get('radius')
+    return float(radius) if isinstance(radius, (int, float)) else None
 
 
 def _layout(bag: Bag, known: Configuration | None, vehicle: Vehicle | None) -> HasAxleBoxes:

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import os
-import shutil
+import math
 import struct
-import tempfile
 from collections import deque
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from railtrack_ros.bags.bag import Bag, Paths, open_bag, paths_of
 from railtrack_ros.bags.codec import SECOND, WAVEFORM, WaveformBlock
 from railtrack_ros.bags.mcap_file import RawMessage
 from railtrack_ros.bags.reader import (
@@ -26,19 +24,30 @@ from railtrack_ros.bags.reader import (
     read_run,
 )
 from railtrack_ros.errors import InputError
-from railtrack_ros.estimation.estimator import Estimator
+from railtrack_ros.estimation.estimator import EstimateBlock, Estimator
 from railtrack_ros.estimation.indicators import Section, SectionIndicators
 from railtrack_ros.estimation.settings import EstimatorSettings, IndicatorSettings
 from railtrack_ros.report.content import Indicators, Latency, Report
 from railtrack_ros.report.page import write_report
-from railtrack_ros.runs import replay_files
+from railtrack_ros.runs import comparison
+from railtrack_ros.runs.configuration import write_configuration
 from railtrack_ros.runs.driven import LONGEST_STEP
 from railtrack_ros.runs.estimate import MOST_DEFECTS
+from railtrack_ros.runs.replay_files import ReplayFiles, complete_folder, write_errors
 from railtrack_ros.runs.replay_input import Stretch, StretchCutter
-from railtrack_ros.runs.replay_model import Replayed, Samples, replay
-from railtrack_ros.runs.replay_report import About, overall, parameters, replay_report, worst
-from railtrack_ros.track.bay import Mesh, make_bay
+from railtrack_ros.runs.replay_model import SECTION, Extent, Replayed, Samples, replay
+from railtrack_ros.runs.replay_report import (
+    About,
+    overall,
+    parameters,
+    replay_report,
+    unexplained,
+    worst,
+)
+from railtrack_ros.runs.replay_spectra import WeightedSpectra, spectra
+from railtrack_ros.track.bay import Mesh
 from railtrack_ros.track.description import Track
+from railtrack_ros.track.row import BayRow
 from railtrack_ros.vehicle.description import Vehicle
 
 RESULT = '/contact_force'          # the result whose arrival tells the latency
@@ -55,14 +64,17 @@ LIMIT_SOURCE = ('RMS limits for reprofiled rails after Grassie, Saxon and Smith,
 
 Progress = Callable[[float], None]
 
+# A stretch is replayed in windows of this duration [s], so that memory does not grow with it.
+WINDOW = 8.0
+# A piece at the end of a stretch that is too short to be compared and not worth a remark [s].
+NOT_WORTH_TELLING = 1.0
+
 
 @dataclass
 class EstimatedRun:
-    """A recording after the estimator: the stretch in full, the rest summed up."""
+    """A recording after the estimator, summed up."""
 
     settings: EstimatorSettings
-    samples: Samples = field(init=False)
-    stretch: slice = field(init=False)
     sections: list[Section] = field(default_factory=list)
     latency: Latency | None = None
     blocks: int = 0
@@ -80,20 +92,22 @@ class ReplayResult:
 
 
 def replay_recording(
-    path: str | Path, track: Track, vehicle: Vehicle, output: str | Path,
+    path: Paths, track: Track, vehicle: Vehicle, output: str | Path,
     stretch: Stretch = Stretch(), start_position: float | None = None,    # noqa: B008 (frozen)
     settings: EstimatorSettings | None = None, model_track: Track | None = None,
     mesh: Mesh | None = None, longest_step: float = LONGEST_STEP, about: About | None = None,
     acceleration_topic: str | None = None, speed_topic: str | None = None,
-    estimating: Progress = lambda seconds: None, driving: Progress = lambda share: None,
+    progress: Progress = lambda seconds: None, section_length: float = SECTION,
+    window: float = WINDOW,
 ) -> ReplayResult:
     """Replay a recording through the full model and write report, CSV and MCAP files.
 
     Parameters
     ----------
     path, output
-        The recording, and the folder for ``report.html``, ``comparison.csv``, ``errors.csv`` and
-        ``replay.mcap``. The files appear when all of them are complete.
+        The recording, or several that are one run, and the folder for ``report.html``,
+        ``comparison.csv``, ``errors.csv`` and ``replay.mcap``. The files appear when all of them
+        are complete.
     track, vehicle, settings
         What the estimator works with.
     stretch
@@ -101,63 +115,127 @@ def replay_recording(
     start_position
         Track position of the reference point at the first sample [m]; None: as recorded, else 0.
     model_track, mesh
-        What the full model works with, if not `track` and the default mesh.
+        What the full model works with, if not `track` and the estimator's mesh. The full model
+        takes any track, also an uneven or a non-linear one.
     longest_step
         Upper bound of the full model's time step [s].
     about
         Title and further content of the report.
     acceleration_topic, speed_topic
         Input topics; None for the usual ones.
-    estimating, driving
-        Called with the seconds of the recording that are estimated, and with the share of the
-        stretch that is driven.
+    progress
+        Called with the seconds of the recording that are done.
+    section_length
+        Of the sections of track that errors are summed up over [m].
+    window
+        Duration of the pieces that the stretch is replayed in [s], each with a run-up: memory is
+        that of two of them.
 
     Raises
     ------
     InputError
         The recording cannot be estimated, or there is nothing to compare in the stretch.
     """
-    mesh = mesh or Mesh()
     model_track = model_track or track
-    run = estimate_run(path, track, vehicle, settings or EstimatorSettings(), stretch,
-                       start_position, acceleration_topic, speed_topic, estimating)
-    found = replay(run.samples, run.stretch, make_bay(model_track, mesh), vehicle, run.settings,
-                   longest_step, driving)
-    about = about or About(f'Replay of {Path(path).name}', '')
-    described = parameters(model_track, mesh, vehicle, run.settings, found)
-    described = {'recording': {'file': Path(path).name, 'blocks': str(run.blocks)}, **described}
-    about = replace(
-        about, parameters={**described, **(about.parameters or {})},
-        subtitle=about.subtitle or f'{Path(path).name}, track {track.name}, vehicle {vehicle.name}')
-    indicators = Indicators([s.row() for s in run.sections], LIMITS, LIMIT_SOURCE)
-    report = replay_report(found, vehicle, about, indicators, run.latency)
-    with _folder(Path(output)) as place:
-        replay_files.write_comparison(place / 'comparison.csv', found, vehicle)
-        replay_files.write_errors(place / 'errors.csv', found)
-        replay_files.write_waveforms(place / 'replay.mcap', found)
+    name = paths_of(path)[0].name
+    settings = settings or EstimatorSettings()
+    mesh = mesh or settings.mesh
+    row = BayRow(model_track, mesh)
+    text = write_configuration(model_track, vehicle, settings, IndicatorSettings())
+    with complete_folder(Path(output)) as place, ReplayFiles(place, vehicle, text) as files:
+        windows = _Windows(files)
+
+        def take(samples: Samples, part: slice, settings: EstimatorSettings) -> None:
+            windows.add(replay(samples, part, row, vehicle, settings, longest_step,
+                               section_length=section_length), vehicle)
+
+        run = estimate_run(path, track, vehicle, settings, stretch, take,
+                           start_position, acceleration_topic, speed_topic, progress, window)
+        found = windows.result()
+        about = about or About(f'Replay of {name}', '')
+        described = parameters(model_track, mesh, vehicle, run.settings, found)
+        described = {'recording': {'file': name, 'blocks': str(run.blocks)}, **described}
+        about = replace(
+            about, parameters={**described, **(about.parameters or {})},
+            subtitle=about.subtitle or f'{name}, track {track.name}, vehicle {vehicle.name}')
+        indicators = Indicators([s.row() for s in run.sections], LIMITS, LIMIT_SOURCE)
+        report = replay_report(found, vehicle, about, indicators, run.latency,
+                               windows.spectra.mean())
+        write_errors(place / 'errors.csv', found.errors)
         write_report(place / 'report.html', report)
     return ReplayResult(found, report, _summary(path, output, run, found), run.notes)
 
 
-def estimate_run(path: str | Path, track: Track, vehicle: Vehicle, settings: EstimatorSettings,
-                 stretch: Stretch, start_position: float | None = None,
+class _Windows:
+    """What the windows of a stretch have given: the errors of all, the curves of one."""
+
+    def __init__(self, files: ReplayFiles) -> None:
+        self.spectra = WeightedSpectra()
+        self._files = files
+        self._errors: list[list[comparison.Error]] = []
+        self._extent: Extent | None = None
+        self._shown: Replayed | None = None
+
+    def add(self, found: Replayed, vehicle: Vehicle) -> None:
+        """Take a window that is replayed."""
+        self._files.add(found)
+        self._errors.append(found.errors)
+        self.spectra.add(spectra(found, vehicle), found.extent.duration)
+        extent = found.extent
+        self._extent = extent if self._extent is None else self._extent.joined(extent)
+        if self._shown is None or _interest(found) > _interest(self._shown):
+            self._shown = found
+
+    def result(self) -> Replayed:
+        """Return one result: the curves of the window with most to see, all else of all."""
+        assert self._shown is not None
+        if len(self._errors) == 1:
+            return self._shown
+        return replace(self._shown, errors=comparison.merged(self._errors), whole=self._extent)
+
+
+def _interest(found: Replayed) -> float:
+    """Tell how much there is to see in a window: the largest RMS of irregularity in a section."""
+    return max((line.rms_difference / line.rms_reference for line in unexplained(found.errors)),
+               default=0.0) * 1e3 + max(
+        (comparison.rms(x[found.stretch]) for x in found.excitation.values()), default=0.0)
+
+
+Take = Callable[[Samples, slice, EstimatorSettings], None]
+
+
+def estimate_run(path: Paths, track: Track, vehicle: Vehicle, settings: EstimatorSettings,
+                 stretch: Stretch, take: Take, start_position: float | None = None,
                  acceleration_topic: str | None = None, speed_topic: str | None = None,
-                 progress: Progress = lambda seconds: None) -> EstimatedRun:
-    """Run the estimator over a recording; keep the samples of the stretch and what it needs.
+                 progress: Progress = lambda seconds: None, window: float = math.inf
+                 ) -> EstimatedRun:
+    """Run the estimator over a recording and hand over the samples of the stretch.
+
+    Parameters
+    ----------
+    take
+        Called with the samples of a window of the stretch and what that needs around it, which of
+        them are the window, and the settings of the estimate.
+    window
+        Duration of a window [s].
 
     Raises
     ------
     InputError
-        The recording lacks acceleration or speed, or the stretch lies outside of it.
+        The recording lacks acceleration or speed, the stretch lies outside of it, or no window of
+        it can be used.
     """
-    with read_run(path, acceleration_topic, speed_topic, everything=True) as run:
+    paths = paths_of(path)
+    with (read_run(paths, acceleration_topic, speed_topic, everything=True) as run,
+          open_bag(paths) as beside):
         if start_position is None:
             start_position = run.start_position
         if start_position is not None:
             settings = replace(settings, start_position=start_position)
         estimator = Estimator(track, vehicle, settings)
         indicators = SectionIndicators(vehicle, IndicatorSettings(), settings)
-        cutter = StretchCutter(stretch, settings, vehicle)
+        cutting = _Cutting(stretch, settings, vehicle, beside, window,
+                           lambda samples, part: take(samples, part, settings))
         arrivals = _Arrivals()
         found = EstimatedRun(settings)
         remarks = [*run.bag.notes]
@@ -169,7 +247,7 @@ def estimate_run(path: str | Path, track: Track, vehicle: Vehicle, settings: Est
             result = estimator.process(block.stamp_ns, block.t, block.channels)
             if result is not None:
                 found.blocks += 1
-                cutter.add(block, result)
+                cutting.add(block, result, event.message.log_time)
                 found.sections += indicators.feed(result.t, result.position, result.irregularity)
 
         # As everywhere, a block is estimated when all messages of its log time are there.
@@ -196,16 +274,74 @@ def estimate_run(path: str | Path, track: Track, vehicle: Vehicle, settings: Est
         names = [box.name for box in vehicle.axle_boxes]
         if channels and not channels.intersection(names):
             raise InputError(
-                f'{path}: {run.acceleration_topic} has the channels {", ".join(sorted(channels))}, '
-                f'none of the axle boxes of vehicle {vehicle.name}: {", ".join(names)}')
+                f'{paths[0]}: {run.acceleration_topic} has the channels '
+                f'{", ".join(sorted(channels))}, none of the axle boxes of vehicle '
+                f'{vehicle.name}: {", ".join(names)}')
         found.sections += indicators.finish()
-        found.samples, found.stretch = cutter.finish(run.bag)
+        remarks += cutting.finish()
     found.latency = arrivals.latency()
     if len(remarks) > MOST_DEFECTS:
         more = len(remarks) - MOST_DEFECTS
         remarks = [*remarks[:MOST_DEFECTS], f'and {more} more remarks on the input']
-    found.notes = [f'{path}: {remark}' for remark in remarks]
+    found.notes = [f'{paths[0]}: {remark}' for remark in remarks]
     return found
+
+
+class _Cutting:
+    """Cuts a stretch into windows, each with its own run-up and run-out, as the run goes by."""
+
+    def __init__(self, stretch: Stretch, settings: EstimatorSettings, vehicle: Vehicle, bag: Bag,
+                 window: float, take: Callable[[Samples, slice], None]) -> None:
+        self._stretch, self._settings, self._vehicle = stretch, settings, vehicle
+        self._bag, self._window, self._take = bag, window, take
+        self._cutters = [StretchCutter(stretch, settings, vehicle)]
+        self._failures: list[InputError] = []
+        self._remarks: list[str] = []
+        self._taken = 0
+
+    def add(self, block: WaveformBlock, estimate: EstimateBlock, log_time: int) -> None:
+        """Take the next block."""
+        for cutter in self._cutters:
+            cutter.add(block, estimate, log_time)
+        last = self._cutters[-1]
+        if last.begun is not None and last.end == math.inf and self._window < math.inf:
+            last.end = last.begun + self._window
+            following = StretchCutter(self._stretch, self._settings, self._vehicle, last.first_ns,
+                                      last.end)
+            following.add(block, estimate, log_time)
+            self._cutters.append(following)
+        while self._cutters[0].is_over and len(self._cutters) > 1:
+            self._hand_over(self._cutters.pop(0))
+
+    def finish(self) -> list[str]:
+        """Hand over what is left; returns remarks on windows that could not be used.
+
+        Raises
+        ------
+        InputError
+            No window could be used.
+        """
+        for cutter in self._cutters:
+            if cutter.begun is not None or not (self._taken or self._failures):
+                self._hand_over(cutter)
+        if not self._taken:
+            raise self._failures[0]
+        return self._remarks
+
+    def _hand_over(self, cutter: StretchCutter) -> None:
+        if cutter.begun is None and self._taken:
+            return
+        try:
+            samples, part = cutter.finish(self._bag)
+            self._take(samples, part)
+            self._taken += 1
+        except InputError as error:
+            self._failures.append(error)
+            if cutter.begun is None:
+                return
+            if cutter.ended - cutter.begun >= NOT_WORTH_TELLING:
+                self._remarks.append(f'from {cutter.begun:.1f} to {cutter.ended:.1f} s: not '
+                                     f'compared: {error}')
 
 
 class _Arrivals:
@@ -240,25 +376,7 @@ class _Arrivals:
         return Latency((came - came.min()) / SECOND, delay / SECOND, LATENCY, self._block or None)
 
 
-@contextmanager
-def _folder(output: Path) -> Iterator[Path]:
-    """Give a place to write to; its files move into the folder when all of them are there."""
-    try:
-        output.mkdir(parents=True, exist_ok=True)
-        place = Path(tempfile.mkdtemp(prefix='.part.', dir=output))
-    except OSError as error:
-        raise InputError(f'{output}: cannot be written ({error.strerror or error})') from error
-    try:
-        yield place
-        for file in sorted(place.iterdir()):
-            os.replace(file, output / file.name)
-    except OSError as error:
-        raise InputError(f'{output}: cannot be written ({error.strerror or error})') from error
-    finally:
-        shutil.rmtree(place, ignore_errors=True)
-
-
-def _summary(path: str | Path, output: str | Path, run: EstimatedRun, found: Replayed
+def _summary(path: Paths, output: str | Path, run: EstimatedRun, found: Replayed
              ) -> dict[str, Any]:
     """Return the figures of a replay under machine-readable names."""
     begin, end = found.compared
@@ -274,14 +392,17 @@ def _summary(path: str | Path, output: str | Path, run: EstimatedRun, found: Rep
             'worst_axle_box': None if largest is None else largest.axle_box,
         })
     return {
-        'recording': str(path),
+        'recording': str(paths_of(path)[0]),
         'output': str(output),
         'from_m': begin,
         'to_m': end,
-        'duration_s': (run.stretch.stop - run.stretch.start) * run.samples.time_step,
-        'speed_m_s': float(np.abs(run.samples.speed[run.stretch]).mean()),
+        'duration_s': found.extent.duration,
+        'speed_m_s': found.extent.speeds[1],
         'band_hz': [found.band.low, found.band.high],
         'errors': errors,
+        'unexplained': [
+            {'axle_box': line.axle_box, 'from_m': line.begin, 'to_m': line.end,
+             'difference_db': line.difference_level} for line in unexplained(found.errors)],
         'sections': len(run.sections),
         'latency_99_s': None if run.latency is None else float(
             np.percentile(run.latency.delay, 99)),

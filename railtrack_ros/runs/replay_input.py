@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 
 ESTIMATED = ('contact_force', 'rail_deflection', 'irregularity')
 TRUTH = '/truth/'
+TRUTH_MARGIN = 5 * SECOND      # by which truth may be logged before or after its measurement
 
 
 @dataclass(frozen=True)
@@ -86,30 +87,48 @@ class _Piece:
     measured: Mapping[str, Array]
     estimate: EstimateBlock | None
     inside: NDArray[np.bool_]
+    log_time: int
 
 
 class StretchCutter:
     """Takes the blocks of a run one after the other and keeps the stretch and what it needs.
 
     Memory holds the stretch with its run-up and run-out, however long the run is.
+
+    Attributes
+    ----------
+    begin, end
+        Further bounds of the stretch, in seconds after the first sample.
+    begun, ended
+        When the first and the last sample of the stretch came, in seconds after the first sample
+        of the run; begun is None before.
     """
 
-    def __init__(self, stretch: Stretch, settings: EstimatorSettings, vehicle: Vehicle) -> None:
+    def __init__(self, stretch: Stretch, settings: EstimatorSettings, vehicle: Vehicle,
+                 first_ns: int | None = None, begin: float = -math.inf) -> None:
         self.stretch = stretch
+        self.begin, self.end = begin, math.inf
+        self.begun: float | None = None
+        self.ended = -math.inf
         self._settings = settings
         self._names = [box.name for box in vehicle.axle_boxes]
         self._pieces: deque[_Piece] = deque()
         self._lead = [0.0, 0.0]           # s and m before the last block
         self._begun = False
         self._after: list[float] | None = None    # s and m since the stretch ended
-        self._first_ns: int | None = None
+        self._first_ns = first_ns
         self._end_ns = 0
         self._step: float | None = None
         self._covered = [math.inf, -math.inf]
         self._duration = 0.0
 
-    def add(self, block: WaveformBlock, estimate: EstimateBlock) -> None:
-        """Take the next block that the estimator has accepted, and its estimate.
+    @property
+    def first_ns(self) -> int | None:
+        """Time of the first sample of the run [ns since the epoch]."""
+        return self._first_ns
+
+    def add(self, block: WaveformBlock, estimate: EstimateBlock, log_time: int = 0) -> None:
+        """Take the next block that the estimator has accepted, its estimate, and when it came.
 
         Raises
         ------
@@ -126,26 +145,32 @@ class StretchCutter:
         begin = (block.start_ns - self._first_ns) / SECOND
         time = np.asarray(begin + step * np.arange(block.samples), dtype=np.float64)
         inside = self.stretch.holds(time, estimate.position)
+        inside &= (time >= self.begin) & (time < self.end)
+        if self.begun is None and inside.any():
+            self.begun = float(time[inside.argmax()])
+        if inside.any():
+            self.ended = float(time[inside][-1])
         finite = estimate.position[np.isfinite(estimate.position)]
         if finite.size:
             self._covered = [min(self._covered[0], float(finite.min())),
                              max(self._covered[1], float(finite.max()))]
         self._duration = float(time[-1])
-        if self._is_over():
+        if self.is_over:
             return
         self._fill_gap(block, step)
         speed = np.abs(np.nan_to_num(estimate.speed))
         self._append(_Piece(
             block.start_ns, block.samples, block.samples * step, float(speed.sum()) * step,
             {name: np.asarray(block.channels[name], dtype=float)
-             for name in self._names if name in block.channels}, estimate, inside))
+             for name in self._names if name in block.channels}, estimate, inside, log_time))
         self._end_ns = block.end_ns + round(step * SECOND)
 
-    def _is_over(self) -> bool:
-        """Tell whether stretch and run-out are complete."""
+    @property
+    def is_over(self) -> bool:
+        """Whether stretch and run-out are complete."""
         _, _, seconds, metres = run_up(self._settings)
-        return (self._after is not None and self._after[0] >= seconds
-                and self._after[1] >= metres)
+        after = self._after
+        return after is not None and _is_enough(after[0], after[1], seconds, metres)
 
     def _fill_gap(self, block: WaveformBlock, step: float) -> None:
         if not self._pieces:
@@ -162,7 +187,8 @@ class StretchCutter:
                              'side of that with --from and --to')
         elif gap > self._settings.gap_tolerance:
             size = round(gap / step)
-            self._append(_Piece(self._end_ns, size, gap, 0.0, {}, None, np.zeros(size, dtype=bool)))
+            self._append(_Piece(self._end_ns, size, gap, 0.0, {}, None,
+                                np.zeros(size, dtype=bool), self._pieces[-1].log_time))
 
     def _append(self, piece: _Piece) -> None:
         self._pieces.append(piece)
@@ -173,11 +199,11 @@ class StretchCutter:
             before = self._after or [0.0, 0.0]
             self._after = [before[0] + piece.duration, before[1] + piece.distance]
         if not self._begun:
-            seconds, metres, _, _ = run_up(self._settings)
+            metres, seconds, _, _ = run_up(self._settings)
             self._lead[0] += piece.duration
             self._lead[1] += piece.distance
-            while (self._lead[0] - self._pieces[0].duration >= seconds
-                   and self._lead[1] - self._pieces[0].distance >= metres):
+            while _is_enough(self._lead[0] - self._pieces[0].duration,
+                             self._lead[1] - self._pieces[0].distance, seconds, metres):
                 gone = self._pieces.popleft()
                 self._lead[0] -= gone.duration
                 self._lead[1] -= gone.distance
@@ -220,8 +246,14 @@ class StretchCutter:
             start_time=(int(time_ns[0]) - self._first_ns) / SECOND,
             position=np.interp(numbers, good, position[known]),
             speed=np.interp(numbers, good, speed[known]),
-            measured=measured, estimated=estimated, truth=_truth(bag, time_ns, self._names))
+            measured=measured, estimated=estimated,
+            truth=_truth(bag, time_ns, self._names, self._log_times()))
         return samples, slice(int(inside[0]), int(inside[-1]) + 1)
+
+    def _log_times(self) -> tuple[int, int]:
+        """Return log times [ns] between which the truth of the pieces is recorded."""
+        times = [piece.log_time for piece in self._pieces]
+        return min(times) - TRUTH_MARGIN, max(times) + TRUTH_MARGIN
 
     def _channel(self, quantity: str, name: str) -> Array:
         return self._joined(lambda estimate: getattr(estimate, quantity)[name])
@@ -231,7 +263,12 @@ class StretchCutter:
                                for p in self._pieces])
 
 
-def _truth(bag: Bag, time_ns: NDArray[np.int64], names: list[str]
+def _is_enough(time: float, distance: float, seconds: float, metres: float) -> bool:
+    """Tell whether a time [s] in which a distance [m] was run holds so many metres and seconds."""
+    return distance > metres and time * (1.0 - metres / distance) >= seconds
+
+
+def _truth(bag: Bag, time_ns: NDArray[np.int64], names: list[str], log_time: tuple[int, int]
            ) -> dict[str, dict[str, Array]]:
     """Return the truth that the recording holds at the times (n,), linear between its samples."""
     topics = {TRUTH + quantity: quantity for quantity in ESTIMATED
@@ -243,7 +280,8 @@ def _truth(bag: Bag, time_ns: NDArray[np.int64], names: list[str]
     found: dict[str, dict[str, Array]] = {}
     margin = SECOND // 10
     for topic, wave in read_waveforms(
-            bag, topics, time_ns=(origin - margin, int(time_ns[-1]) + margin)).items():
+            bag, topics, time_ns=(origin - margin, int(time_ns[-1]) + margin),
+            log_time=log_time).items():
         if not wave.time_ns.size:
             continue
         there = wave.time(origin)

@@ -34,6 +34,7 @@ from railtrack_ros.runs import comparison
 from railtrack_ros.runs.comparison import Band, Error
 from railtrack_ros.runs.driven import LONGEST_STEP, drive, oversampling
 from railtrack_ros.track.bay import Bay
+from railtrack_ros.track.row import BayRow
 from railtrack_ros.vehicle.description import Vehicle
 
 Array = NDArray[np.float64]
@@ -41,6 +42,7 @@ Channels = Mapping[str, Array]
 
 SETTLING = 0.5          # s that the driven model needs until its start no longer shows
 LARGEST_SLIP = 1e-3     # m a sample: a position that moves on by more was corrected
+SECTION = 10.0          # m of track that errors are summed up over
 RAMP = 1.0              # cut-on wavelengths over which the irregularity grows at its start
 
 
@@ -74,6 +76,24 @@ class Samples:
 
 
 @dataclass(frozen=True)
+class Extent:
+    """Track positions [m], duration [s] and lowest, mean and highest speed [m/s] of a stretch."""
+
+    begin: float
+    end: float
+    duration: float
+    speeds: tuple[float, float, float]
+
+    def joined(self, later: Extent) -> Extent:
+        """Return the extent of this and a later stretch."""
+        duration = self.duration + later.duration
+        low, mean, high = self.speeds
+        mean += (later.speeds[1] - mean) * later.duration / duration
+        return Extent(min(self.begin, later.begin), max(self.end, later.end), duration,
+                      (min(low, later.speeds[0]), mean, max(high, later.speeds[2])))
+
+
+@dataclass(frozen=True)
 class Replayed:
     """What the full model made of a run.
 
@@ -96,6 +116,8 @@ class Replayed:
         The full model's time step [s].
     errors
         The error table over the stretch.
+    whole
+        What the run covers of which this is a window, None for a run in one piece.
     """
 
     samples: Samples
@@ -106,15 +128,27 @@ class Replayed:
     band: Band
     model_step: float
     errors: list[Error]
+    whole: Extent | None = None
 
     @property
     def compared(self) -> tuple[float, float]:
         """Track positions of the reference point [m] between which the model has an answer."""
+        if self.whole is not None:
+            return self.whole.begin, self.whole.end
         good = np.zeros(self.samples.position.size, dtype=bool)
         for values in self.full_model['contact_force'].values():
             good[self.stretch] |= np.isfinite(values[self.stretch])
         places = self.samples.position[good]
         return float(places.min()), float(places.max())
+
+    @property
+    def extent(self) -> Extent:
+        """Return what the stretch covers."""
+        if self.whole is not None:
+            return self.whole
+        speed = np.abs(self.samples.speed[self.stretch])
+        return Extent(*self.compared, speed.size * self.samples.time_step,
+                      (float(speed.min()), float(speed.mean()), float(speed.max())))
 
     def signals(self, quantity: str) -> dict[str, Channels]:
         """Return all descriptions of a quantity by who gives it, each by axle box (n,)."""
@@ -141,9 +175,10 @@ PAIRS = {
 }
 
 
-def replay(samples: Samples, stretch: slice, bay: Bay, vehicle: Vehicle,
+def replay(samples: Samples, stretch: slice, bay: Bay | BayRow, vehicle: Vehicle,
            settings: EstimatorSettings, longest_step: float = LONGEST_STEP,
-           progress: Callable[[float], None] = lambda share: None) -> Replayed:
+           progress: Callable[[float], None] = lambda share: None,
+           section_length: float = SECTION) -> Replayed:
     """Drive the full model over a run with the irregularity recovered from it, and compare.
 
     Parameters
@@ -152,12 +187,16 @@ def replay(samples: Samples, stretch: slice, bay: Bay, vehicle: Vehicle,
         The run; `run_up` tells how much of it before and after the stretch is used.
     stretch
         The samples that the comparison is about.
+    bay
+        A periodic linear track's bay, or the row of bays of any track.
     settings
         Those of the estimator, for its high-pass.
     longest_step
         Upper bound of the model's time step [s].
     progress
         Called with the share of the run that is done.
+    section_length
+        Of the sections in the error table [m].
 
     Raises
     ------
@@ -178,7 +217,7 @@ def replay(samples: Samples, stretch: slice, bay: Bay, vehicle: Vehicle,
             f'model: it takes {SETTLING:g} s and {2 * SETTLING_WAVELENGTHS + RAMP:g} cut-on '
             f'wavelengths of {cut_on:g} m of undisturbed running above '
             f'{settings.minimum_speed:g} m/s')
-    model = drive(bay, vehicle, _place(samples, bay.spacing), excitation, samples.time_step,
+    model = drive(bay, vehicle, _place(samples, _repeat(bay)), excitation, samples.time_step,
                   longest_step, progress)
     for channels in model.values():
         for name, values in channels.items():
@@ -187,7 +226,7 @@ def replay(samples: Samples, stretch: slice, bay: Bay, vehicle: Vehicle,
              for name, values in samples.truth.get('irregularity', {}).items()}
     found = Replayed(samples, stretch, excitation, model, truth, band,
                      samples.time_step / oversampling(samples.time_step, longest_step), [])
-    found.errors.extend(_errors(found, vehicle))
+    found.errors.extend(_errors(found, vehicle, section_length))
     if not any(e.quantity == 'contact_force' for e in found.errors):
         raise InputError('the stretch is too short to compare anything: '
                          f'{(stretch.stop - stretch.start) * samples.time_step:.3g} s')
@@ -195,16 +234,30 @@ def replay(samples: Samples, stretch: slice, bay: Bay, vehicle: Vehicle,
 
 
 def run_up(settings: EstimatorSettings) -> tuple[float, float, float, float]:
-    """Return what a stretch needs around it: s and m before it, s and m after it."""
-    wavelengths = (SETTLING_WAVELENGTHS + RAMP) * settings.cut_on_wavelength
-    return SETTLING + 2 * SETTLING_TIME, wavelengths, 3 * SETTLING_TIME, wavelengths
+    """Return what a stretch needs around it: m and then s before it, s and then m after it.
+
+    Before it the irregularity has to grow, the model to settle and the filters of the comparison
+    to settle too; after it these filters, and those that run backwards.
+    """
+    edge = comparison.EDGE / comparison.LOWEST
+    ramp = RAMP * settings.cut_on_wavelength
+    backwards = SETTLING_WAVELENGTHS * settings.cut_on_wavelength
+    return ramp, SETTLING + edge, SETTLING_TIME + edge, ramp + backwards
 
 
-def _place(samples: Samples, spacing: float) -> Array:
+def _repeat(track: Bay | BayRow) -> float | None:
+    """Return the length [m] after which the track repeats, None where it never does."""
+    if isinstance(track, BayRow):
+        return track.bay.spacing if len(track.kinds) == 1 else None
+    return track.spacing
+
+
+def _place(samples: Samples, spacing: float | None) -> Array:
     """Return the way (n,) [m] that the model's wheels go: positions without their corrections.
 
     Where a position reference moved the position, whole sleeper bays are left out and the rest is
     made up over the distance run, as the estimator does: a wheel cannot jump along the rail.
+    Without a spacing nothing is left out.
     """
     speed = samples.speed
     run = 0.5 * samples.time_step * (speed[1:] + speed[:-1])
@@ -216,7 +269,8 @@ def _place(samples: Samples, spacing: float) -> Array:
     moves[jumps] = run[jumps]
     behind = 0.0
     for begin, end, correction in zip(jumps, [*jumps[1:], moves.size], corrections, strict=True):
-        behind += correction - spacing * round(correction / spacing)
+        whole = spacing * round(correction / spacing) if spacing else 0.0
+        behind += correction - whole
         made_up = np.minimum(GLIDE * np.cumsum(np.abs(run[begin:end])), abs(behind))
         moves[begin:end] += np.copysign(np.diff(made_up, prepend=0.0), behind)
         behind -= np.copysign(made_up[-1], behind)
@@ -258,7 +312,7 @@ def _high_pass(values: Array, speed: Array, time_step: float, settings: Estimato
     return filtered[:, 0]
 
 
-def _errors(found: Replayed, vehicle: Vehicle) -> list[Error]:
+def _errors(found: Replayed, vehicle: Vehicle, section_length: float) -> list[Error]:
     """Compare all pairs of all axle boxes over the stretch, within the band."""
     distance = np.cumsum(np.abs(found.samples.speed))[found.stretch] * found.samples.time_step
     lines = []
@@ -269,6 +323,9 @@ def _errors(found: Replayed, vehicle: Vehicle) -> list[Error]:
                        for who, channels in signals.items() if box.name in channels}
             for a, b in pairs:
                 if a in limited and b in limited:
-                    lines += comparison.errors(
-                        quantity, box.name, (a, limited[a]), (b, limited[b]), distance, found.band)
+                    pair = (a, limited[a]), (b, limited[b])
+                    lines += comparison.errors(quantity, box.name, *pair, distance, found.band)
+                    lines += comparison.section_errors(
+                        quantity, box.name, *pair,
+                        found.samples.position[found.stretch] + box.offset, section_length)
     return lines

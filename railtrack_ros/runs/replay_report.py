@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from railtrack_ros import __version__
 from railtrack_ros.estimation.settings import EstimatorSettings
-from railtrack_ros.irregularity.spectra import REFERENCE, iso3095_limit
 from railtrack_ros.report import sections, style
 from railtrack_ros.report.content import (
     BandError,
@@ -26,12 +27,15 @@ from railtrack_ros.report.content import (
 from railtrack_ros.runs import comparison
 from railtrack_ros.runs.comparison import Error
 from railtrack_ros.runs.replay_model import PAIRS, Replayed
+from railtrack_ros.runs.replay_spectra import spectra
 from railtrack_ros.track.bay import Mesh
 from railtrack_ros.track.description import Track
 from railtrack_ros.vehicle.description import Vehicle
 
 Array = NDArray[np.float64]
 
+UNEXPLAINED = 0.3        # of the measured RMS: a larger difference is not explained
+MOST_ROWS = 25           # of a table on the page
 VIEW = 8.0               # [m] of waveform on the page at least
 POINTS = 5400            # of a curve at most
 PER_WAVE = 6.0           # points per shortest wave
@@ -62,24 +66,28 @@ class About:
 
 
 def replay_report(found: Replayed, vehicle: Vehicle, about: About,
-                  indicators: Indicators | None = None, latency: Latency | None = None) -> Report:
-    """Compose the report of a replay; without truth, indicators or latency those parts lack."""
+                  indicators: Indicators | None = None, latency: Latency | None = None,
+                  levels: Mapping[str, Spectrum] | None = None) -> Report:
+    """Compose the report of a replay; without truth, indicators or latency those parts lack.
+
+    levels: spectra of the irregularity over the whole stretch, where `found` shows a window of it.
+    """
     window = _window(found, vehicle, indicators)
     plots = {quantity: _waveforms(found, vehicle, quantity, window) for quantity in PLOTS}
     return Report(
         title=about.title,
         subtitle=about.subtitle,
-        findings=[*_corrugation(indicators), *_agreement(found), *_live(latency),
-                  *about.findings],
+        findings=[*corrugation_findings(indicators), *_agreement(found), *_unexplained(found),
+                  *_live(latency), *about.findings],
         tiles=[*_tiles(found, indicators, latency), *about.tiles],
         indicators=indicators,
         irregularity=plots['irregularity'],
-        spectra=_spectra(found, vehicle),
+        spectra=levels if levels is not None else spectra(found, vehicle),
         spectrum_remark=_spectrum_remark(found),
         waveforms=[plots[q] for q in PAIRS if q != 'irregularity'],
         errors=[_error_plot(found, q) for q in ('contact_force', 'rail_deflection',
                                                 'axle_box_acceleration')],
-        tables=[_table(found, vehicle)],
+        tables=[_unexplained_table(found), _table(found, vehicle)],
         latency=latency,
         parameters=about.parameters or {},
         methods=_methods(found),
@@ -93,6 +101,27 @@ def worst(errors: Iterable[Error], quantity: str, compared: str, reference: str)
     lines = [e for e in errors if (e.quantity, e.compared, e.reference, e.band) == (
         quantity, compared, reference, 'frequency')]
     return max(lines, key=lambda e: abs(e.level_difference), default=None)
+
+
+def unexplained(errors: Iterable[Error]) -> list[Error]:
+    """Return the sections in which the full model does not explain the measured acceleration.
+
+    That is, where the difference is above `UNEXPLAINED` times the measured RMS within the band;
+    neighbouring sections of an axle box are one line, with their mean squares.
+    """
+    lines = [e for e in errors if e.band == 'section' and e.quantity == 'axle_box_acceleration'
+             and e.rms_difference > UNEXPLAINED * e.rms_reference]
+    lines.sort(key=lambda e: (e.axle_box, e.begin))
+    found: list[Error] = []
+    for line in lines:
+        last = found[-1] if found else None
+        if last is not None and (last.axle_box, last.end) == (line.axle_box, line.begin):
+            both = replace(last, begin=math.nan, end=math.nan), replace(
+                line, begin=math.nan, end=math.nan)
+            found[-1] = replace(comparison.merged([both])[0], begin=last.begin, end=line.end)
+        else:
+            found.append(line)
+    return sorted(found, key=lambda e: -e.difference_level)
 
 
 def overall(errors: Iterable[Error], quantity: str, compared: str, reference: str
@@ -109,7 +138,8 @@ def overall(errors: Iterable[Error], quantity: str, compared: str, reference: st
 # In words
 
 
-def _corrugation(indicators: Indicators | None) -> list[str]:
+def corrugation_findings(indicators: Indicators | None) -> list[str]:
+    """Say where the irregularity is above its limit."""
     if indicators is None or not indicators.rows or not indicators.limits:
         return []
     found = sections.exceedances(indicators)
@@ -169,6 +199,41 @@ def _agreement(found: Replayed) -> list[str]:
     return texts
 
 
+def _unexplained(found: Replayed) -> list[str]:
+    lines = unexplained(found.errors)
+    if not any(e.quantity == 'axle_box_acceleration' for e in found.errors):
+        return []
+    if not lines:
+        return ['There is no section of track in which the full model leaves more than '
+                f'{100 * UNEXPLAINED:.0f} % of the measured acceleration unexplained.']
+    first = lines[0]
+    text = (f'The full model does not explain the acceleration of {style.box_title(first.axle_box)}'
+            f' from {first.begin:.0f} m to {first.end:.0f} m: the difference is '
+            f'{100 * first.rms_difference / first.rms_reference:.0f} % of the measured RMS.')
+    if len(lines) > 1:
+        text += (f' In {len(lines) - 1} more stretch{"es" if len(lines) > 2 else ""} it is above '
+                 f'{100 * UNEXPLAINED:.0f} %; a table below lists them.')
+    return [text]
+
+
+def _unexplained_table(found: Replayed) -> Table:
+    """List the stretches that the model does not explain."""
+    lines = unexplained(found.errors)
+    columns = ('axle box', 'from - to [m]', 'measured [m/s²]', 'full model - measured [m/s²]',
+               '[dB]')
+    rows = [[style.box_title(e.axle_box), f'{e.begin:.0f} - {e.end:.0f}', f'{e.rms_reference:.2f}',
+             f'{e.rms_difference:.2f}', f'{e.difference_level:.1f}'] for e in lines[:MOST_ROWS]]
+    share = f'{100 * UNEXPLAINED:.0f} %'
+    if not lines:
+        return Table(f'No section differs by more than {share} of the measured acceleration', (),
+                     ())
+    return Table('Where the model does not explain the measurement', columns, rows,
+                 f'Sections in which the difference of the accelerations is above {share} of the '
+                 'measured RMS within the band' + (
+                     f'; the {MOST_ROWS} worst of {len(lines)}.' if len(lines) > MOST_ROWS else '.')
+                 + ' errors.csv holds every section.')
+
+
 def _live(latency: Latency | None) -> list[str]:
     if latency is None:
         return []
@@ -183,17 +248,12 @@ def _live(latency: Latency | None) -> list[str]:
 
 def _tiles(found: Replayed, indicators: Indicators | None, latency: Latency | None
            ) -> list[Tile]:
-    (begin, end), speed = found.compared, found.samples.speed[found.stretch]
+    begin, end = found.compared
+    slowest, mean, fastest = found.extent.speeds
     tiles = [Tile('replayed stretch', f'{end - begin:.0f} m',
-                  f'at {speed.min():.1f} to {speed.max():.1f} m/s'
-                  if np.ptp(speed) > 0.05 else f'at {speed.mean():.1f} m/s')]
-    if indicators is not None and indicators.limits:
-        above = sections.exceedances(indicators)
-        tiles.append(
-            Tile('worst stretch', f'{above[0].worst / above[0].limit:.1f} × limit',
-                 f'{above[0].start:.0f} to {above[0].end:.0f} m, {above[0].rail} rail, '
-                 f'{style.BAND_NAMES[above[0].band]}')
-            if above else Tile('above a limit', 'nothing', 'in any band of wavelength'))
+                  f'at {slowest:.1f} to {fastest:.1f} m/s'
+                  if fastest - slowest > 0.05 else f'at {mean:.1f} m/s')]
+    tiles += worst_tile(indicators)
     for quantity, pair, label, who in (
             ('axle_box_acceleration', ('full_model', 'measured'), 'full model error',
              'acceleration, against measured'),
@@ -210,6 +270,18 @@ def _tiles(found: Replayed, indicators: Indicators | None, latency: Latency | No
                           f'median; 99 % within '
                           f'{1e3 * float(np.percentile(latency.delay, 99)):.1f} ms'))
     return tiles
+
+
+def worst_tile(indicators: Indicators | None) -> list[Tile]:
+    """Return the key figure of the stretch that is furthest above its limit."""
+    if indicators is None or not indicators.limits:
+        return []
+    above = sections.exceedances(indicators)
+    if not above:
+        return [Tile('above a limit', 'nothing', 'in any band of wavelength')]
+    return [Tile('worst stretch', f'{above[0].worst / above[0].limit:.1f} × limit',
+                 f'{above[0].start:.0f} to {above[0].end:.0f} m, {above[0].rail} rail, '
+                 f'{style.BAND_NAMES[above[0].band]}')]
 
 
 def _spectrum_remark(found: Replayed) -> str:
@@ -236,6 +308,27 @@ def _methods(found: Replayed) -> list[str]:
 def parameters(track: Track, mesh: Mesh, vehicle: Vehicle, settings: EstimatorSettings,
                found: Replayed) -> dict[str, dict[str, str]]:
     """Return what the results depend on, in groups, for the record."""
+    return {
+        'software': {'version': f'railtrack_ros {__version__}'},
+        **described_track(track, vehicle),
+        'estimator': {
+            'start position': f'{settings.start_position:g} m',
+            'high-pass of the irregularity': f'{settings.cut_on_wavelength:g} m',
+            'track modes up to': f'{settings.maximum_frequency:g} Hz',
+            'mesh': f'{settings.elements_per_bay} elements a bay, {settings.local_system} local '
+                    f'system, ring of {settings.bays_in_ring} bays',
+        },
+        'full model': {
+            'mesh': f'{mesh.elements_per_bay} elements a bay, {mesh.local_system} local system',
+            'time step': f'{1e6 * found.model_step:.4g} µs',
+            'sample rate of the data': f'{1.0 / found.samples.time_step:.6g} Hz',
+            'compared': f'{found.band.low:.4g} to {found.band.high:.4g} Hz',
+        },
+    }
+
+
+def described_track(track: Track, vehicle: Vehicle) -> dict[str, dict[str, str]]:
+    """Return the figures of track and vehicle, in groups."""
     rail, support, wheel = track.rail, track.support, vehicle.wheel
     return {
         f'track {track.name}': {
@@ -252,19 +345,6 @@ def parameters(track: Track, mesh: Mesh, vehicle: Vehicle, settings: EstimatorSe
             'axle boxes': str(len(vehicle.axle_boxes)),
             'wheel': f'{wheel.mass:g} kg unsprung, {wheel.static_load / 1e3:g} kN static load',
             'contact': f'{vehicle.contact.stiffness:g} N/m^{vehicle.contact.exponent:g}',
-        },
-        'estimator': {
-            'start position': f'{settings.start_position:g} m',
-            'high-pass of the irregularity': f'{settings.cut_on_wavelength:g} m',
-            'track modes up to': f'{settings.maximum_frequency:g} Hz',
-            'mesh': f'{settings.elements_per_bay} elements a bay, {settings.local_system} local '
-                    f'system, ring of {settings.bays_in_ring} bays',
-        },
-        'full model': {
-            'mesh': f'{mesh.elements_per_bay} elements a bay, {mesh.local_system} local system',
-            'time step': f'{1e6 * found.model_step:.4g} µs',
-            'sample rate of the data': f'{1.0 / found.samples.time_step:.6g} Hz',
-            'compared': f'{found.band.low:.4g} to {found.band.high:.4g} Hz',
         },
     }
 
@@ -349,39 +429,6 @@ def _waveforms(found: Replayed, vehicle: Vehicle, quantity: str, window: tuple[f
     return WaveformPlot(title, name, unit, scale, boxes, remark)
 
 
-def _spectra(found: Replayed, vehicle: Vehicle) -> dict[str, Spectrum]:
-    """Levels of estimated and true irregularity over the stretch, in the wavelengths resolved."""
-    result = {}
-    speed = np.abs(found.samples.speed[found.stretch])
-    for box in vehicle.axle_boxes:
-        signals = {who: channels[box.name][found.stretch]
-                   for who, channels in found.signals('irregularity').items()
-                   if box.name in channels}
-        finite = np.all([np.isfinite(x) for x in signals.values()], axis=0) & (speed > 0.0)
-        part = comparison.longest_piece(finite)
-        run = np.cumsum(speed[part]) * found.samples.time_step
-        if run.size < comparison.SHORTEST:
-            continue
-        mean = float(speed[part].mean())
-        step = mean * found.samples.time_step
-        grid = np.arange(run[0], run[-1], step)
-        on_grid = {who: np.interp(grid, run, x[part]) for who, x in signals.items()}
-        levels = comparison.band_levels(
-            on_grid['estimated'], on_grid.get('truth', on_grid['estimated']), step,
-            LONGEST, mean / found.band.high)
-        if levels is None:
-            continue
-        curves = {'limit': iso3095_limit(levels.centre),
-                  'estimated': 20.0 * np.log10(levels.compared / REFERENCE)}
-        if 'truth' in on_grid:
-            curves['truth'] = 20.0 * np.log10(levels.reference / REFERENCE)
-        result[box.name] = Spectrum(levels.centre, curves)
-    return result
-
-
-LONGEST = 10.0**0.15      # [m] upper edge of the 1.25 m one-third octave
-
-
 def _error_plot(found: Replayed, quantity: str) -> ErrorPlot:
     pairs: dict[str, dict[str, BandError]] = {}
     for compared, reference in PAIRS[quantity]:
@@ -394,10 +441,12 @@ def _error_plot(found: Replayed, quantity: str) -> ErrorPlot:
             pairs[f'{NAMES[compared]} - {NAMES[reference]}'] = {
                 name: BandError(np.array([e.frequency for e in lines]),
                                 np.array([e.wavelength for e in lines]),
-                                np.array([e.level_difference for e in lines]))
+                                np.array([e.level_difference for e in lines]),
+                                np.array([e.coherence for e in lines]))
                 for name, lines in boxes.items()}
     return ErrorPlot(f'{PLOTS[quantity][0]}: level differences in one-third octaves', pairs,
-                     'Line: the chosen axle box, shade: the range of all.')
+                     'Line: the chosen axle box, shade: the range of all. Coherence: 1 where one '
+                     'is the other through a linear filter, near 0 where they are strangers.')
 
 
 def _table(found: Replayed, vehicle: Vehicle) -> Table:

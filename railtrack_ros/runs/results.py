@@ -8,6 +8,7 @@ the sections that it has left.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from railtrack_ros.bags import codec
 from railtrack_ros.bags.codec import SECOND, Status, WaveformBlock
 from railtrack_ros.bags.message_types import MessageTypes
 from railtrack_ros.estimation.estimator import EstimateBlock
-from railtrack_ros.estimation.indicators import BANDS, Section, SectionIndicators, band_name
+from railtrack_ros.estimation.indicators import Section, SectionIndicators, band_name
 from railtrack_ros.estimation.settings import EstimatorSettings, IndicatorSettings
 from railtrack_ros.vehicle.description import Vehicle
 
@@ -65,18 +66,24 @@ class ResultMessages:
         self._frame_id = ''
 
     @staticmethod
-    def topics(vehicle: Vehicle) -> dict[str, str]:
+    def topics(vehicle: Vehicle, indicators: IndicatorSettings | None = None) -> dict[str, str]:
         """Return the message types of all topics with results."""
         topics = dict.fromkeys(WAVEFORMS, codec.WAVEFORM)
         topics[CORRUGATION] = codec.DIAGNOSTICS
         for box in vehicle.axle_boxes:
             topics[f'wheel/{box.name}/contact_force'] = codec.WRENCH
-            for band in BANDS:
+            for band in (indicators or IndicatorSettings()).wavelengths:
                 topics[f'wheel/{box.name}/rms_{band_name(band)}'] = codec.FLOAT64
         return topics
 
     def block(self, estimate: EstimateBlock, frame_id: str) -> Messages:
         """Yield the messages of a block with their topics; all of them have to be taken."""
+        yield from self.waveforms(estimate, frame_id)
+        self.feed(estimate)
+        yield from self._corrugation()
+
+    def waveforms(self, estimate: EstimateBlock, frame_id: str) -> Messages:
+        """Yield those messages of a block that are not about sections."""
         for name in WAVEFORMS:
             channels = getattr(estimate, name)
             block = WaveformBlock(
@@ -86,56 +93,95 @@ class ResultMessages:
         self._frame_id = frame_id
         self._end_ns = estimate.stamp_ns + round(float(estimate.t[-1]) * SECOND)
         yield from self._forces(estimate)
+
+    def feed(self, estimate: EstimateBlock) -> None:
+        """Take a block, whose waveforms are told, into the sections."""
         self.sections = self._indicators.feed(
             estimate.t, estimate.position, estimate.irregularity
         )
-        yield from self._corrugation()
 
     def finish(self) -> Messages:
         """Yield the messages of the sections under way at the end of a run."""
-        self.sections = self._indicators.finish()
+        self.end()
         yield from self._corrugation()
+
+    def end(self) -> None:
+        """Finish the sections under way at the end of a run."""
+        self.sections = self._indicators.finish()
+
+    @property
+    def forces_told_ns(self) -> int:
+        """When the contact forces were summed up last [ns]; set it to go on from there."""
+        return self._last_force_ns
+
+    @forces_told_ns.setter
+    def forces_told_ns(self, time_ns: int) -> None:
+        self._last_force_ns = time_ns
 
     def _forces(self, estimate: EstimateBlock) -> Messages:
         for name, force in estimate.contact_force.items():
             peak = float(np.fmax.reduce(force))
             if np.isfinite(peak):
                 self._peaks[name] = max(self._peaks.get(name, peak), peak)
-        if 0 <= self._end_ns - self._last_force_ns < FORCE_PERIOD:
+        if not forces_are_due(self._last_force_ns, self._end_ns):
             return
         peaks, self._peaks, self._last_force_ns = self._peaks, {}, self._end_ns
         for name, peak in peaks.items():
             message = codec.encode_force(self._end_ns, peak, self._frame_id, self._types)
             yield f'wheel/{name}/contact_force', message
 
-    def _corrugation(self) -> Messages:
-        if not self.sections:
-            return
-        statuses = [self._status(section) for section in self.sections]
-        yield (
-            CORRUGATION,
-            codec.encode_diagnostics(self._end_ns, statuses, self._types, self._frame_id),
-        )
-        for section in self.sections:
-            for band, rms in zip(BANDS, section.rms, strict=True):
-                if np.isfinite(rms):
-                    topic = f'wheel/{section.axle_box}/rms_{band_name(band)}'
-                    yield topic, codec.encode_number(1e6 * rms, self._types)
+    @property
+    def finished(self) -> FinishedSections:
+        """Return the sections of the last block with what their messages need."""
+        return FinishedSections(self.sections, self._end_ns, self._frame_id, self._vehicle.name)
 
-    def _status(self, section: Section) -> Status:
+    def _corrugation(self) -> Messages:
+        return section_messages(self.finished, self._types)
+
+
+@dataclass(frozen=True)
+class FinishedSections:
+    """Sections that a block has finished: time of its last sample [ns], its frame, the vehicle."""
+
+    sections: list[Section]
+    stamp_ns: int
+    frame_id: str
+    vehicle: str
+
+
+def section_messages(finished: FinishedSections, types: MessageTypes) -> Messages:
+    """Yield the messages that tell of finished sections with their topics."""
+    if not finished.sections:
+        return
+    statuses = []
+    for section in finished.sections:
         values = {
             name: '' if value is None else str(value) for name, value in section.row().items()
         }
         name = f'corrugation: {section.axle_box}'
-        return Status(0, name, describe(section), self._vehicle.name, values)
+        statuses.append(Status(section.level, name, describe(section), finished.vehicle, values))
+    yield (
+        CORRUGATION,
+        codec.encode_diagnostics(finished.stamp_ns, statuses, types, finished.frame_id),
+    )
+    for section in finished.sections:
+        for band, rms in zip(section.bands, section.rms, strict=True):
+            if np.isfinite(rms):
+                topic = f'wheel/{section.axle_box}/rms_{band_name(band)}'
+                yield topic, codec.encode_number(1e6 * rms, types)
+
+
+def forces_are_due(told_ns: int, end_ns: int) -> bool:
+    """Tell whether a block that ends at a time [ns] sums up the contact forces."""
+    return not 0 <= end_ns - told_ns < FORCE_PERIOD
 
 
 def describe(section: Section) -> str:
     """Return what a section shows, in a few words."""
-    place = f'{section.start:g} to {section.end:g} m'
+    text = f'{section.start:g} to {section.end:g} m: no wavelength stands out'
     if np.isfinite(section.dominant_wavelength):
-        return (
-            f'{place}: {1e3 * section.dominant_wavelength:.0f} mm stands out, '
-            f'{1e6 * section.dominant_rms:.1f} um RMS'
+        text = (
+            f'{section.start:g} to {section.end:g} m: {1e3 * section.dominant_wavelength:.0f} mm '
+            f'stands out, {1e6 * section.dominant_rms:.1f} um RMS'
         )
-    return f'{place}: no wavelength stands out'
+    return f'{text}; {section.reason}' if section.reason else text

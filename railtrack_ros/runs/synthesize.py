@@ -12,7 +12,13 @@ from typing import Any
 import numpy as np
 
 from railtrack_ros import __version__
-from railtrack_ros.bags.codec import SECOND, WaveformBlock, encode_speed, encode_waveform
+from railtrack_ros.bags.codec import (
+    SECOND,
+    START_NS,
+    WaveformBlock,
+    encode_speed,
+    encode_waveform,
+)
 from railtrack_ros.bags.message_types import OFFLINE, MessageTypes
 from railtrack_ros.bags.writer import ACCELERATION_TOPIC, FRAME, SPEED_TOPIC, Recording
 from railtrack_ros.runs.virtual_run import RunSettings, VirtualBlock, simulate_run
@@ -21,9 +27,6 @@ from railtrack_ros.vehicle.description import Vehicle
 
 TRUTH = ('contact_force', 'rail_deflection', 'irregularity')
 TRUTH_TOPICS = tuple(f'/truth/{name}' for name in TRUTH)
-
-# 2026-01-01T00:00:00Z: a recording of the same run is the same file, whenever it is made.
-START_NS = 1_767_225_600 * SECOND
 
 SPEED_RATE = 100  # Hz
 # The speed sensor is already at work when the first acceleration arrives, s.
@@ -138,6 +141,7 @@ def synthesize(track: Track, vehicle: Vehicle, settings: RunSettings, path: str 
 
 def run_facts(track: Track, vehicle: Vehicle, settings: RunSettings) -> dict[str, Any]:
     """Return what a recording says of its making, so that it can be made again."""
+    parts = {'irregularity': ' '.join(part.text for part in settings.irregularity)}
     corrugations = ' '.join(str(stretch) for stretch in settings.corrugations)
     return {
         'source': f'virtual run, railtrack_ros {__version__}',
@@ -148,6 +152,7 @@ def run_facts(track: Track, vehicle: Vehicle, settings: RunSettings) -> dict[str
         'acceleration': settings.acceleration,
         'roughness': settings.roughness,
         'corrugation': corrugations,
+        **(parts if settings.irregularity else {}),
         'noise': settings.noise,
         'sample_rate': settings.sample_rate,
         'seed': settings.seed,

@@ -13,15 +13,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy import signal
 
+from railtrack_ros.bags.signals import Decimator
 from railtrack_ros.dynamics.newmark import ForwardResult, FullModel
 from railtrack_ros.errors import InputError
 from railtrack_ros.irregularity import profile
-from railtrack_ros.track.bay import Mesh, make_bay
+from railtrack_ros.irregularity.surface import Part, Surface
+from railtrack_ros.track.bay import Mesh
 from railtrack_ros.track.description import Track
+from railtrack_ros.track.row import BayRow
 from railtrack_ros.vehicle.description import RAILS, AxleBox, Vehicle
 
 Array = NDArray[np.float64]
@@ -35,7 +36,6 @@ FADE_IN = 1.0
 ROUGHNESS_STEP = 1e-3
 SHORTEST_ROUGHNESS = 20.0
 ROUGHNESS_PERIOD = 10e3
-STOP_BAND_ATTENUATION = 100.0  # dB
 # Fine time steps that are computed at a time.
 CHUNK = 12_800
 
@@ -87,6 +87,8 @@ class RunSettings:
         'none', 'iso3095' (the limit curve, different on the two rails) or a CSV file.
     corrugations
         Corrugated stretches, added to the roughness.
+    irregularity
+        Further parts, added to both: joints, wheel flats, files (`irregularity.surface`).
     noise
         Standard deviation of the accelerometers' white noise, m/s2.
     sample_rate, block
@@ -101,6 +103,7 @@ class RunSettings:
     start_position: float = 0.0
     roughness: str = 'none'
     corrugations: tuple[Corrugation, ...] = ()
+    irregularity: tuple[Part, ...] = ()
     noise: float = 0.3
     sample_rate: float = 25600.0
     block: float = 0.01
@@ -190,6 +193,7 @@ class RailSurface:
         self._last = end + max(offsets)
         self._start = settings.start_position
         self._corrugations = settings.corrugations
+        self._parts = Surface(settings.irregularity, vehicle, self._start, self._start, end)
         self._roughness = self._load(settings)
 
     def _load(self, settings: RunSettings) -> dict[str, profile.Profile]:
@@ -210,8 +214,12 @@ class RailSurface:
             measured[rail].require(self._first, self._last)
         return measured
 
+    def under(self, box: AxleBox, position: Array) -> Array:
+        """Irregularity [m] under an axle box, all parts, with the reference point at (n,) [m]."""
+        return self.at(box.rail, position, box.offset) + self._parts.at(box, position)
+
     def at(self, rail: str, position: Array, offset: float) -> Array:
-        """Irregularity [m] under a wheel when the reference point is at `position` (n,) [m]."""
+        """Irregularity [m] of a rail under a wheel, the reference point being at (n,) [m]."""
         place = position + offset
         surface = np.zeros_like(place)
         if rail in self._roughness:
@@ -227,51 +235,16 @@ class RailSurface:
         return surface * (0.5 - 0.5 * np.cos(np.pi * run))
 
 
-class Decimator:
-    """Linear-phase anti-aliasing filter and decimation of a stream, without delay.
-
-    Passes 80 % of the new Nyquist band; what would fold into that is down by
-    :data:`STOP_BAND_ATTENUATION`. Before the first sample the signal is taken as constant.
-
-    Attributes
-    ----------
-    reach
-        Number of samples on either side of a sample which enter its filtered value.
-    """
-
-    def __init__(self, factor: int) -> None:
-        transition = 0.4 / factor  # of the old Nyquist frequency
-        taps, beta = signal.kaiserord(STOP_BAND_ATTENUATION, transition)
-        taps += 1 - taps % 2
-        self._factor = factor
-        self._taps = signal.firwin(taps, 1.0 / factor, window=('kaiser', beta))
-        self.reach = taps // 2
-        self._kept: Array | None = None
-
-    def process(self, values: Array) -> Array:
-        """Return the samples (m, channels) that the next `values` (n, channels) complete."""
-        if self._kept is None:
-            self._kept = np.repeat(values[:1], self.reach, axis=0)
-        known = np.concatenate([self._kept, values])
-        if len(known) < len(self._taps):
-            self._kept = known
-            return known[:0]
-        surroundings = sliding_window_view(known, len(self._taps), axis=0)[::self._factor]
-        self._kept = known[len(surroundings) * self._factor:]
-        return surroundings @ self._taps
-
-
 class _RailRun:
     """The wheels of one rail through the full model, filtered to the sample rate."""
 
     def __init__(self, track: Track, vehicle: Vehicle, settings: RunSettings, rail: str,
                  surface: RailSurface) -> None:
         self.boxes: tuple[AxleBox, ...] = vehicle.on_rail(rail)
-        self._rail = rail
         self._surface = surface
         self._settings = settings
         self._model = FullModel(
-            make_bay(track, TRUTH_MESH), vehicle, [box.offset for box in self.boxes],
+            BayRow(track, TRUTH_MESH), vehicle, [box.offset for box in self.boxes],
             time_step=1.0 / (settings.sample_rate * settings.oversampling),
             start_position=settings.start_position)
         self._decimators = [Decimator(settings.oversampling) for _ in range(3)]
@@ -282,8 +255,7 @@ class _RailRun:
 
     def irregularity(self, position: Array) -> Array:
         """Irregularity (n, wheels) when the reference point is at `position` (n,)."""
-        return np.column_stack([self._surface.at(self._rail, position, box.offset)
-                                for box in self.boxes])
+        return np.column_stack([self._surface.under(box, position) for box in self.boxes])
 
     def advance(self, position: Array) -> tuple[Array, Array, Array]:
         """Acceleration, contact force and rail deflection, (m, wheels) each, that got complete."""

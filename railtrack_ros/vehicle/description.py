@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from railtrack_ros import parameters, paths
-from railtrack_ros.errors import InputError
 from railtrack_ros.parameters import ANY, NOT_NEGATIVE, POSITIVE, Range, Section
 
 RAILS = ('left', 'right')
@@ -75,19 +74,6 @@ class Vehicle:
     def rails(self) -> tuple[str, ...]:
         """The rails that carry an axle box, left before right."""
         return tuple(rail for rail in RAILS if self.on_rail(rail))
-
-    def require_rigid_wheels(self, purpose: str) -> None:
-        """Raise InputError where `purpose` cannot take more than rigid wheels."""
-        for key in ('suspension', 'modes'):
-            if getattr(self.wheel, key):
-                raise InputError(f'vehicle {self.name}: wheel.{key}: {purpose} does not take it '
-                                 'yet; remove the key')
-
-    def require_undamped_contact(self, purpose: str) -> None:
-        """Raise InputError where `purpose` cannot take a contact with damping."""
-        if self.contact.damping:
-            raise InputError(f'vehicle {self.name}: contact.damping: {purpose} does not take it '
-                             'yet; remove the key')
 
     def on_rail(self, rail: str) -> tuple[AxleBox, ...]:
         """Return the axle boxes on a rail in the order of the file."""

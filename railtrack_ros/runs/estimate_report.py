@@ -1,0 +1,111 @@
+"""The report of an estimate: what stands out along the track, and what it was computed with."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from railtrack_ros import __version__
+from railtrack_ros.estimation.settings import IndicatorSettings, declared
+from railtrack_ros.report import style
+from railtrack_ros.report.content import Indicators, Report, Table, Tile
+from railtrack_ros.report.page import write_report
+from railtrack_ros.runs.estimated import Estimated
+from railtrack_ros.runs.replay import LIMIT_SOURCE, LIMITS
+from railtrack_ros.runs.replay_report import corrugation_findings, described_track, worst_tile
+from railtrack_ros.track.description import Track
+from railtrack_ros.vehicle.description import Vehicle
+
+
+def write_estimate_report(path: str | Path, name: str, found: Estimated, track: Track,
+                          vehicle: Vehicle, indicators: IndicatorSettings) -> Report:
+    """Write the page on an estimate; returns its content.
+
+    Parameters
+    ----------
+    name
+        Of the recording.
+    """
+    report = estimate_report(name, found, track, vehicle, indicators)
+    write_report(path, report)
+    return report
+
+
+def estimate_report(name: str, found: Estimated, track: Track, vehicle: Vehicle,
+                    indicators: IndicatorSettings) -> Report:
+    """Compose the page from the sections and the figures of an estimate."""
+    sections = Indicators([s.row() for s in found.sections], LIMITS, LIMIT_SOURCE)
+    forces = [(b.lowest_force, b.highest_force) for b in found.boxes.values() if b.valid]
+    valid = sum(b.valid for b in found.boxes.values()) / max(
+        1, sum(b.samples for b in found.boxes.values()))
+    return Report(
+        title=f'Estimate of {name}',
+        subtitle=f'{name}, track {track.name}, vehicle {vehicle.name}',
+        findings=[*corrugation_findings(sections), *_defects(found)],
+        tiles=[
+            Tile('run', f'{found.distance:.0f} m',
+                 f'{found.start:.0f} m to {found.end:.0f} m in {found.duration:.1f} s'),
+            Tile('speed', f'{3.6 * found.highest_speed:.0f} km/h',
+                 f'at most; at least {3.6 * found.lowest_speed:.0f} km/h'),
+            *worst_tile(sections),
+            Tile('contact force', f'{1e-3 * max(f[1] for f in forces):.0f} kN',
+                 f'largest; least {1e-3 * min(f[0] for f in forces):.0f} kN'),
+            Tile('valid', f'{100.0 * valid:.1f} %', 'of all samples'),
+        ],
+        indicators=sections,
+        tables=[_boxes(found)],
+        parameters=_parameters(name, found, track, vehicle, indicators),
+        methods=[
+            'Contact force from the acceleration of each axle box, with the static load; rail '
+            'deflection from the forces of all wheels on the rail through the modes of the '
+            'periodic track; irregularity from wheel displacement, contact indentation and rail '
+            'deflection, causally high-passed in wavelength (Butterworth of order 4, cut-on '
+            f'{found.settings.cut_on_wavelength:g} m). Forces hold above about 20 Hz.',
+            'Sections: the irregularity of each axle box on a grid of 1 mm along its own place, '
+            'through causal Butterworth band-passes of order 4 with -3 dB at the ends of each '
+            'band; the root mean square of each section.',
+        ],
+    )
+
+
+def _defects(found: Estimated) -> list[str]:
+    if not found.defects:
+        return ['The recording has no defects.']
+    return [f'The recording has defects: {"; ".join(found.defects[:4])}'
+            + (' and more.' if len(found.defects) > 4 else '.')]
+
+
+def _boxes(found: Estimated) -> Table:
+    rows = []
+    for name, box in found.boxes.items():
+        sections = [s for s in found.sections if s.axle_box == name]
+        worst = max((s.rms[1] for s in sections if math.isfinite(s.rms[1])), default=math.nan)
+        named = [s for s in sections if math.isfinite(s.dominant_wavelength)]
+        rows.append([
+            style.box_title(name), f'{100.0 * box.valid / max(box.samples, 1):.1f}',
+            f'{1e-3 * box.lowest_force:.1f}' if box.valid else '',
+            f'{1e-3 * box.highest_force:.1f}' if box.valid else '',
+            f'{1e6 * worst:.1f}' if math.isfinite(worst) else '', str(len(named)),
+            f'{1e3 * float(np.median([s.dominant_wavelength for s in named])):.0f}'
+            if named else ''])
+    return Table('Axle boxes', (
+        'axle box', 'valid [%]', 'least force [kN]', 'largest force [kN]',
+        'worst 30-100 mm RMS [µm]', 'sections with a dominant wavelength', 'its median [mm]'), rows)
+
+
+def _parameters(name: str, found: Estimated, track: Track, vehicle: Vehicle,
+                indicators: IndicatorSettings) -> Mapping[str, Mapping[str, str]]:
+    def told(settings: object) -> dict[str, str]:
+        return {s.name.replace('_', ' '): f'{getattr(settings, s.name)} {s.unit}'.strip()
+                for s in declared(type(settings))}
+
+    return {
+        'recording': {'file': name, 'sample rate': f'{found.sample_rate:.6g} Hz',
+                      'software': f'railtrack_ros {__version__}'},
+        **described_track(track, vehicle),
+        'estimator': told(found.settings),
+        'sections': told(indicators),
+    }

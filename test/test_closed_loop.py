@@ -1,0 +1,91 @@
+"""Measured minus predicted at the wheels behind: the test of the model itself."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from railtrack_ros.dynamics.recursive import RecursiveForward
+from railtrack_ros.estimation.closed_loop import BANDS
+from railtrack_ros.estimation.estimator import Estimator
+from railtrack_ros.irregularity.profile import iso3095
+from railtrack_ros.track.bay import Mesh, make_bay
+from railtrack_ros.track.description import load_track
+from railtrack_ros.vehicle.description import AxleBox, Contact, Vehicle, Wheel
+
+S = 1_000_000_000
+START = 1_700_000_000 * S
+RATE = 25600.0
+TRACK = load_track('blanco_table_3_1')
+BOGIE = Vehicle('bogie', Wheel(550.0, 100e3, 0.46), Contact(100e9, 1.5),
+                (AxleBox('lead', 'left', 0.0), AxleBox('trail', 'left', -2.5)))
+
+
+@pytest.fixture(scope='module')
+def measured():
+    """Accelerations (n, 2) of both axle boxes at 25 m/s, from another mesh and finer steps."""
+    x = 25.0 * np.arange(round(2.2 * 2 * RATE)) / (2 * RATE)
+    r = iso3095(80.0, seed=3, start=-5.0).at(x[:, None] + np.array([0.0, -2.5]))
+    forward = RecursiveForward(make_bay(TRACK, Mesh(10)), BOGIE, [0.0, -2.5], 0.5 / RATE, 0.0,
+                               hold='linear', maximum_frequency=8000.0)
+    return forward.run(x, r).axle_box_acceleration[::2]
+
+
+def fed(estimator, a, size=512, first=0, last=None, speed=25.0):
+    if first == 0:
+        for k in range(-10, math.ceil(len(a) / RATE * 100) + 2):
+            estimator.add_speed(START + k * S // 100, speed)
+    for k in range(first, last or len(a), size):
+        part = a[k:min(k + size, last or len(a))]
+        estimator.process(START + round(k / RATE * S), np.arange(len(part)) / RATE,
+                          {'lead': part[:, 0], 'trail': part[:, 1]})
+    return estimator
+
+
+def test_the_right_track_explains_the_wheel_behind_and_a_wrong_one_does_not(measured):
+    right = fed(Estimator(TRACK, BOGIE), measured).model_residual()
+    assert list(right) == ['trail']
+    assert list(right['trail']) == list(BANDS)
+    soft = dataclasses.replace(TRACK, support=dataclasses.replace(
+        TRACK.support, pad_stiffness=0.6 * TRACK.support.pad_stiffness))
+    wrong = fed(Estimator(soft, BOGIE), measured).model_residual()
+    for band in ('100-400 Hz', '400-1000 Hz', '1000-2000 Hz'):
+        assert right['trail'][band].share < 0.05
+        assert wrong['trail'][band].share > 2.0 * right['trail'][band].share
+        assert right['trail'][band].measured > 0.5
+
+
+def test_running_backwards_the_other_wheel_leads(measured):
+    # The same way in the other direction: the front wheel of the run is the rear of the vehicle.
+    turned = measured[:, ::-1]
+    estimator = Estimator(dataclasses.replace(TRACK, name='turned'), dataclasses.replace(
+        BOGIE, axle_boxes=(AxleBox('lead', 'left', 2.5), AxleBox('trail', 'left', 0.0))))
+    found = fed(estimator, turned, speed=-25.0).model_residual()
+    assert list(found) == ['lead']
+    assert found['lead']['400-1000 Hz'].share < 0.05
+
+
+def test_residual_does_not_depend_on_blocks_and_survives_being_saved(measured):
+    blank = Estimator(TRACK, BOGIE)
+    whole = fed(blank, measured).model_residual()
+    assert fed(Estimator(TRACK, BOGIE), measured, size=700).model_residual() == whole
+    first, second = Estimator(TRACK, BOGIE), Estimator(TRACK, BOGIE)
+    middle = 60 * 512  # within the test
+    fed(first, measured, last=middle)
+    assert first.model_residual() == {}
+    second.restore(first.state())
+    assert fed(second, measured, first=middle).model_residual() == whole
+
+
+def test_a_faulty_sensor_is_told_by_the_residual_of_its_own_box(measured):
+    weak = measured * [1.0, 0.7]
+    found = fed(Estimator(TRACK, BOGIE), weak).model_residual()
+    for band in ('100-400 Hz', '400-1000 Hz'):
+        assert found['trail'][band].share > 0.3
+
+
+def test_a_dead_box_leaves_nothing_to_test(measured):
+    dead = measured.copy()
+    dead[:, 1] = np.nan
+    assert fed(Estimator(TRACK, BOGIE), dead).model_residual() == {}
