@@ -64,6 +64,7 @@ def test_the_demonstration_from_end_to_end(tmp_path):
 
     # Report, recording and logs are there, and the terminal told how it went.
     report = (output / 'report.html').read_text()
+    assert (output / 'overview.png').read_bytes().startswith(b'\x89PNG')
     assert '<html' in report
     assert 'live on ROS 2' in report
     with open_bag(output / 'live.mcap') as bag:

@@ -140,6 +140,15 @@ def test_the_irregularity_fades_in(two_wheels):
     assert soon < 1e-3 * max(later, 1e-6)
 
 
+def test_level_of_the_roughness_is_a_gain_in_decibels(two_wheels):
+    place = np.linspace(1.0, 2.0, 50)
+    settings = dataclasses.replace(SHORT, roughness='iso3095', corrugations=())
+    full = RailSurface(two_wheels, settings).at('left', place, 0.0)
+    half = RailSurface(two_wheels, dataclasses.replace(
+        settings, roughness_level=-20.0 * np.log10(2.0))).at('left', place, 0.0)
+    np.testing.assert_allclose(half, 0.5 * full, rtol=1e-12)
+
+
 def test_random_roughness_differs_between_the_rails_and_the_seeds(two_wheels):
     settings = dataclasses.replace(SHORT, roughness='iso3095', corrugations=())
     position = np.linspace(1.0, 4.0, 3000)

@@ -6,7 +6,7 @@ import argparse
 
 from railtrack_ros.cli import common
 from railtrack_ros.cli.main import Outcome
-from railtrack_ros.parameters import NOT_NEGATIVE, POSITIVE
+from railtrack_ros.parameters import NOT_NEGATIVE, POSITIVE, Range
 
 EXAMPLE = (
     'railtrack synthesize --track mainline_soft_pads --vehicle measurement_coach\n'
@@ -33,6 +33,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='iso3095: random, at the limit curve of ISO 3095; or a CSV file with '
                         'position_m and irregularity_m, or irregularity_left_m and '
                         'irregularity_right_m; or none (default)')
+    parser.add_argument('--roughness-level', type=number(Range(minimum=-60.0, maximum=20.0)),
+                        default=0.0, metavar='DB',
+                        help='gain of the roughness, -6 is half of it (default 0)')
     parser.add_argument('--corrugation', action='append', default=[],
                         metavar='WAVELENGTH:AMPLITUDE:FROM:TO[:RAIL]',
                         help='a sinusoidal stretch, all in metres, on both rails or on the left or '
@@ -63,6 +66,7 @@ def run(args: argparse.Namespace) -> Outcome:
     settings = RunSettings(
         duration=args.duration, speed=args.speed, acceleration=args.acceleration,
         start_position=args.start_position, roughness=args.roughness,
+        roughness_level=args.roughness_level,
         corrugations=tuple(Corrugation.parse(text) for text in args.corrugation),
         irregularity=tuple(read_part(text) for text in args.irregularity),
         noise=args.noise, sample_rate=args.sample_rate, block=args.block, seed=args.seed)

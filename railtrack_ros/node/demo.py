@@ -34,6 +34,7 @@ from railtrack_ros.node.processes import (
 )
 from railtrack_ros.node.recorder import Recorder
 from railtrack_ros.report.content import Tile
+from railtrack_ros.report.overview import draw_overview
 from railtrack_ros.runs.estimate import NODE, estimate
 from railtrack_ros.runs.replay import ReplayResult, replay_recording
 from railtrack_ros.runs.replay_input import Bound, Stretch
@@ -49,6 +50,7 @@ SPEED = 25.0  # m/s
 ACCELERATION = 0.2  # m/s2
 WAVELENGTH = 0.045  # m
 AMPLITUDE = 20e-6  # m
+LEVEL = -6.0  # dB, of the roughness against the limit of ISO 3095
 REPLAYED = 5.0  # s
 
 LIVE_TOPIC = f'{NODE}/{WAVEFORMS[0]}'
@@ -121,6 +123,7 @@ def plan(duration: float, seed: int) -> RunSettings:
     end = max(begin + 20.0, 10.0 * round(0.52 * length / 10.0))
     return RunSettings(
         duration=duration, speed=SPEED, acceleration=ACCELERATION, roughness='iso3095',
+        roughness_level=LEVEL,
         corrugations=(Corrugation(WAVELENGTH, AMPLITUDE, begin, end, 'right'),), seed=seed)
 
 
@@ -166,6 +169,7 @@ def run_demo(output: Path, duration: float, seed: int, say: Say) -> DemoResult:
     say(f'replay: {_replayed(settings)} through the full model')
     replay = replay_recording(
         bag, track, vehicle, output, _replayed(settings), about=_about(live, compared, different))
+    draw_overview(output / 'overview.png', replay.report)
     say(f'report written, {time.monotonic() - begun:.0f} s after the start')
     return DemoResult(live, replay, bag, output / 'report.html', compared, different,
                       time.monotonic() - begun, _defects(live, compared, different, found.defects))
@@ -220,7 +224,8 @@ class _LiveDemo:
         return {
             'track': TRACK, 'vehicle': VEHICLE, 'duration': settings.duration,
             'speed': settings.speed, 'acceleration': settings.acceleration,
-            'roughness': settings.roughness, 'seed': settings.seed,
+            'roughness': settings.roughness, 'roughness_level': settings.roughness_level,
+            'seed': settings.seed,
             'corrugation': ' '.join(map(str, settings.corrugations)),
             'subscribers': 2,  # estimator and recorder
             'patience': STARTING,

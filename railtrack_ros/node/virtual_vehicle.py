@@ -41,6 +41,8 @@ SETTINGS = (
     setting('acceleration', 0.0, 'negative to brake', 'm/s2'),
     setting('start_position', 0.0, 'track position of the reference point at the start', 'm'),
     setting('roughness', 'iso3095', 'none, iso3095 or a CSV file'),
+    setting('roughness_level', 0.0, 'gain of the roughness, -6 is half of it', 'dB',
+            Range(minimum=-60.0, maximum=20.0)),
     setting('corrugation', '', 'WAVELENGTH:AMPLITUDE:FROM:TO or WAVELENGTH:AMPLITUDE:FROM:TO:RAIL '
             'in metres, several separated by spaces'),
     setting('noise', 0.3, 'white noise of the accelerometers, rms', 'm/s2', NOT_NEGATIVE),
@@ -57,8 +59,8 @@ SETTINGS = (
     setting('frame_id', 'base_link', "the vehicle's frame"),
 )
 
-OF_THE_RUN = ('duration', 'speed', 'acceleration', 'start_position', 'roughness', 'noise',
-              'sample_rate', 'block', 'seed')
+OF_THE_RUN = ('duration', 'speed', 'acceleration', 'start_position', 'roughness',
+              'roughness_level', 'noise', 'sample_rate', 'block', 'seed')
 
 
 class VirtualVehicle(Node):

@@ -151,6 +151,7 @@ def run_facts(track: Track, vehicle: Vehicle, settings: RunSettings) -> dict[str
         'speed': settings.speed,
         'acceleration': settings.acceleration,
         'roughness': settings.roughness,
+        'roughness_level_db': settings.roughness_level,
         'corrugation': corrugations,
         **(parts if settings.irregularity else {}),
         'noise': settings.noise,

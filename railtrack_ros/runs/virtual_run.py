@@ -85,6 +85,8 @@ class RunSettings:
         [m/s2]; a vehicle that brakes to a stop stays where it is.
     roughness
         'none', 'iso3095' (the limit curve, different on the two rails) or a CSV file.
+    roughness_level
+        Gain of the roughness, dB: -6 is half of it.
     corrugations
         Corrugated stretches, added to the roughness.
     irregularity
@@ -102,6 +104,7 @@ class RunSettings:
     acceleration: float = 0.0
     start_position: float = 0.0
     roughness: str = 'none'
+    roughness_level: float = 0.0
     corrugations: tuple[Corrugation, ...] = ()
     irregularity: tuple[Part, ...] = ()
     noise: float = 0.3
@@ -195,6 +198,7 @@ class RailSurface:
         self._corrugations = settings.corrugations
         self._parts = Surface(settings.irregularity, vehicle, self._start, self._start, end)
         self._roughness = self._load(settings)
+        self._gain = 10.0 ** (settings.roughness_level / 20.0)
 
     def _load(self, settings: RunSettings) -> dict[str, profile.Profile]:
         if settings.roughness == 'none':
@@ -226,7 +230,7 @@ class RailSurface:
             roughness = self._roughness[rail]
             begin = roughness.position[0]
             period = roughness.position[-1] - begin
-            surface += roughness.at(begin + np.mod(place - begin, period))
+            surface += self._gain * roughness.at(begin + np.mod(place - begin, period))
         for stretch in self._corrugations:
             if stretch.rail in (None, rail):
                 surface += profile.corrugation(
