@@ -164,7 +164,7 @@ def make_model(modes: TrackModes, time_step: float, hold: str) -> Model:
     o = step_of(modes.oscillators, time_step, hold)
     dofs, cubics = modes.table.dofs, modes.table.coefficients
     elements, k = dofs.shape
-    breaks, guess = _pieces(modes.table)
+    breaks = pieces(modes.table)
     x = breaks[:-1, None] + NODES * np.diff(breaks)[:, None]
     fit = np.linalg.inv(NODES[:, None] ** np.arange(4))
     shape = fit @ modes.bay.shape(x.ravel()).reshape(*x.shape, -1)
@@ -179,19 +179,19 @@ def make_model(modes: TrackModes, time_step: float, hold: str) -> Model:
     shares = np.ascontiguousarray(
         np.einsum('mjc,rmji->rmci', cubics, out[:, modes.table.element]))
     return Model(
-        breaks, guess, *parts(np.dstack([first, second])), *parts(np.dstack([second, -first])),
+        breaks, first_guess(breaks, modes.table.spacing), *parts(np.dstack([first, second])),
+        *parts(np.dstack([second, -first])),
         arranged(np.cos(angle)), arranged(np.sin(angle)), *parts(np.tile(step.e, 2)),
         oe[0], oe[1], shares[0], shares[1], modes.bay.dofs,
         hold == 'corrected')
 
 
-def _pieces(table: ShapeTable) -> tuple[Array, Indices]:
-    """Breaks and guess of pieces of a bay, at least PIECES: elements and equal parts of them."""
+def pieces(table: ShapeTable) -> Array:
+    """Breaks [m] of the pieces of a bay, at least PIECES: elements and equal parts of them."""
     ends = table.breaks[np.flatnonzero(np.diff(table.element, prepend=-1, append=-1))]
     parts = np.ceil(np.diff(ends) / table.spacing * PIECES - 1e-6).astype(int)
-    breaks = np.concatenate([np.linspace(a, b, n, endpoint=False) for a, b, n in zip(
+    return np.concatenate([np.linspace(a, b, n, endpoint=False) for a, b, n in zip(
         ends[:-1], ends[1:], parts, strict=True)] + [ends[-1:]])
-    return breaks, first_guess(breaks, table.spacing)
 
 
 def _zeros(*shape: int, dtype: Any = np.float64) -> NDArray[Any]:

@@ -37,6 +37,7 @@ from railtrack_ros.dynamics.recursion import (
     begin,
     make_model,
     make_state,
+    pieces,
     settle,
     step_of,
 )
@@ -86,8 +87,8 @@ def compliances(modes: TrackModes, time_step: float, hold: str, offsets: Array) 
 
 
 def _compliances(modes: TrackModes, time_step: float, hold: str, offsets: Array) -> Compliances:
-    bay, table, n = modes.bay, modes.table, offsets.size
-    inner = np.mod(table.breaks[None, :-1] - offsets[:, None], bay.spacing).ravel()
+    bay, n = modes.bay, offsets.size
+    inner = np.mod(pieces(modes.table)[None, :-1] - offsets[:, None], bay.spacing).ravel()
     breaks = np.unique(np.round(np.concatenate([[0.0], inner, [bay.spacing]]), 10))
     # Polynomials through seven points within each interval.
     s = 0.5 - 0.5 * np.cos(np.pi * (np.arange(7) + 0.5) / 7)
