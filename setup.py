@@ -67,9 +67,9 @@ setup(
     entry_points={
         'console_scripts': [
             'railtrack = railtrack_ros.cli.main:main',
-            'track_estimator = railtrack_ros.node.track_estimator:main',
-            'virtual_vehicle = railtrack_ros.node.virtual_vehicle:main',
-            'recorder = railtrack_ros.node.recorder:main',
+            'track_estimator = railtrack_ros.node.start:track_estimator',
+            'virtual_vehicle = railtrack_ros.node.start:virtual_vehicle',
+            'recorder = railtrack_ros.node.start:recorder',
         ],
     },
 )

@@ -8,7 +8,7 @@ import math
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +52,29 @@ def replacing(path: str | Path) -> Iterator[Path]:
         os.replace(written, target)
     finally:
         shutil.rmtree(beside, ignore_errors=True)
+
+
+def refuse_inputs(output: str | Path, inputs: Iterable[str | Path]) -> None:
+    """Refuse an output that would replace an input.
+
+    Raises
+    ------
+    InputError
+        The output is one of the inputs, by whatever name, or lies in a folder that is one.
+    """
+    target = os.path.expanduser(output)
+    for name in inputs:
+        source = os.path.expanduser(name)  # os.path: any text may be asked for, of any length
+        if os.path.isdir(source):
+            if Path(os.path.realpath(target)).is_relative_to(os.path.realpath(source)):
+                raise InputError(f'{output}: is or lies in the input {name}; choose another output')
+        elif os.path.isfile(source) and os.path.isfile(target) and os.path.samefile(source, target):
+            raise InputError(f'{output}: is the input itself; choose another output')
+
+
+def metres(position: float) -> str:
+    """Return a track position [m] for people: to the millimetre, however far out it is."""
+    return f'{round(position, 3) + 0.0:.3f}'.rstrip('0').rstrip('.')
 
 
 def write_csv(path: str | Path, columns: Mapping[str, Sequence[Any] | NDArray[Any]]) -> None:

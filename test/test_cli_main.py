@@ -1,5 +1,6 @@
 """The frame of the command line: help, exit status, and errors of one line."""
 
+import importlib
 import json
 import os
 import subprocess
@@ -139,6 +140,70 @@ def test_defects_of_the_input_are_told_and_make_exit_status_3(command, capsys):
     told = capsys.readouterr()
     assert told.out == 'done\n'
     assert told.err == 'railtrack info: axle1_left: 12 samples are NaN\n'
+
+
+def test_remarks_are_told_and_leave_exit_status_0(command, capsys):
+    command(lambda args: main.Outcome({}, ['done'], remarks=['gap of 0.1 s']))
+    assert main.main(['info']) == 0
+    told = capsys.readouterr()
+    assert told.out == 'done\n'
+    assert told.err == 'railtrack info: gap of 0.1 s\n'
+
+
+def parser_of(name):
+    module = importlib.import_module(main.module_name(name))
+    parser = main.Parser()
+    module.add_arguments(parser)
+    return parser
+
+
+def test_what_a_command_writes_is_known_to_the_check_for_overwriting():
+    written = {'OUT', 'OUT.mcap', 'FILE.csv', 'FILE.html', 'DIR'}
+    for name in main.available():
+        for action in parser_of(name)._actions:
+            known = action.dest in common.OUTPUTS
+            assert known or action.metavar not in written, (name, action.dest)
+            # What is read is in CSV, a BAG or a FILE by position; every other FILE is written.
+            assert known or action.metavar != 'FILE' or not action.option_strings, (
+                name, action.dest)
+
+
+@pytest.mark.parametrize('arguments', [
+    ['indicators', 'in.x', '--output', 'in.x'],
+    ['indicators', 'in.x', '--output', 'out.csv', '--grind-list', './in.x'],
+    ['indicators', 'in.x', '--output', 'out.csv', '--wheels', 'link.x'],
+    ['indicators', 'other.x', '--geography', 'in.x', '--output', 'in.x'],
+    ['simulate', '--track', 'in.x', '--vehicle', 'v', '--speed', '9', '--output', 'in.x'],
+    ['simulate', '--track', 't', '--vehicle', 'in.x', '--speed', '9', '--output', 'hard.x'],
+    ['simulate', '--track', 't', '--vehicle', 'v', '--speed', '9', '--irregularity', 'sine:1:1e-6',
+     '--irregularity', 'in.x', '--output', 'in.x'],
+    ['simulate', '--track', 't', '--vehicle', 'v', '--speed-file', 'in.x', '--output', 'in.x'],
+    ['receptance', '--track', 'in.x', '--at', '0', '--frequencies', '9', '--output', 'in.x'],
+    ['decay-rate', '--track', 'in.x', '--output', 'out.csv', '--plot', 'in.x'],
+    ['dispersion', '--track', 'in.x', '--frequencies', '9', '--output', 'in.x'],
+    ['resonances', '--track', 't', '--vehicle', 'in.x', '--output', 'in.x'],
+    ['import', 'in.x', '--channels', 'a=b', 'in.x'],
+    ['synthesize', '--track', 't', '--vehicle', 'v', '--duration', '1', '--speed', '9', '--seed',
+     '1', '--roughness', 'in.x', 'in.x'],
+    ['estimate', 'in.x', '--track', 't', '--vehicle', 'v', '--output', 'out.mcap', '--report',
+     'in.x'],
+    ['estimate', 'folder', '--track', 't', '--vehicle', 'v', '--output', 'folder/x.mcap'],
+    ['compare', 'other.x', 'folder', '--output', 'folder'],
+    ['decay-rate', '--track', 't', '--output', 'same.png', '--plot', './same.png'],
+])
+def test_no_output_replaces_an_input_or_another_output(arguments, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'folder').mkdir()
+    (tmp_path / 'in.x').write_text('measured once')
+    (tmp_path / 'link.x').symlink_to('in.x')
+    (tmp_path / 'hard.x').hardlink_to(tmp_path / 'in.x')
+    before = sorted(tmp_path.iterdir())
+    assert main.main(arguments) == 2
+    told = capsys.readouterr().err
+    assert told.count('\n') == 1
+    assert told.endswith(('choose another output\n', 'choose another for one of them\n'))
+    assert (tmp_path / 'in.x').read_text() == 'measured once'
+    assert sorted(tmp_path.iterdir()) == before
 
 
 @pytest.mark.parametrize(

@@ -32,13 +32,13 @@ def measured():
     return forward.run(x, r).axle_box_acceleration[::2]
 
 
-def fed(estimator, a, size=512, first=0, last=None, speed=25.0):
+def fed(estimator, a, size=512, first=0, last=None, speed=25.0, start=START):
     if first == 0:
         for k in range(-10, math.ceil(len(a) / RATE * 100) + 2):
-            estimator.add_speed(START + k * S // 100, speed)
+            estimator.add_speed(start + k * S // 100, speed)
     for k in range(first, last or len(a), size):
         part = a[k:min(k + size, last or len(a))]
-        estimator.process(START + round(k / RATE * S), np.arange(len(part)) / RATE,
+        estimator.process(start + round(k / RATE * S), np.arange(len(part)) / RATE,
                           {'lead': part[:, 0], 'trail': part[:, 1]})
     return estimator
 
@@ -76,6 +76,21 @@ def test_residual_does_not_depend_on_blocks_and_survives_being_saved(measured):
     assert first.model_residual() == {}
     second.restore(first.state())
     assert fed(second, measured, first=middle).model_residual() == whole
+
+
+def test_after_a_gap_the_same_models_serve_and_give_what_new_ones_would(measured):
+    found = []
+    for anew in (False, True):
+        estimator = fed(Estimator(TRACK, BOGIE), measured, last=60 * 512)  # breaks off in a test
+        loop = estimator._rails[0].loop
+        assert loop._testing
+        if anew:
+            loop.time_step = 0.0  # of another sample rate, so its models cannot serve
+        fed(estimator, measured, start=START + 3 * S)
+        assert (estimator._rails[0].loop._models is loop._models) is not anew
+        found.append(estimator.model_residual())
+    assert found[0] == found[1]
+    assert found[0]['trail']['400-1000 Hz'].share < 0.05
 
 
 def test_a_faulty_sensor_is_told_by_the_residual_of_its_own_box(measured):

@@ -9,7 +9,15 @@ import pytest
 import yaml
 
 from railtrack_ros.bags.bag import open_bag
-from railtrack_ros.bags.codec import SECOND, WaveformBlock, decode_diagnostics, decode_waveform
+from railtrack_ros.bags.codec import (
+    SECOND,
+    WaveformBlock,
+    decode_diagnostics,
+    decode_speed,
+    decode_waveform,
+    encode_speed,
+    encode_waveform,
+)
 from railtrack_ros.bags.message_types import OFFLINE
 from railtrack_ros.bags.reader import read_waveforms
 from railtrack_ros.bags.writer import Recording
@@ -292,38 +300,147 @@ def test_recording_that_cannot_be_estimated_is_refused(case, words, vehicle, tmp
     assert not output.exists()
 
 
+def rewritten(bag, path, change):
+    """A recording with the list of (topic, type, log time, CDR) that a function makes of another's.
+
+    The function gets each message decoded, and the seconds at which it was logged.
+    """
+    with open_bag(bag) as source, Recording(path) as recording:
+        messages = [new for m in source.messages() for new in change(
+            (m.topic, m.type, m.log_time, m.data), source.decode(m),
+            (m.log_time - START) / SECOND)]
+        for new in sorted(messages, key=lambda new: new[2]):
+            recording.write_raw(*new)
+    return path
+
+
+def again(message, content, shift_ns, log_shift_ns=0, without=()):
+    """A message with other stamps, and without some channels."""
+    topic, kind, log_time, _ = message
+    if topic == '/speed':
+        stamp_ns, speed = decode_speed(content)
+        new = encode_speed(stamp_ns + shift_ns, speed, 'bogie', OFFLINE)
+    else:
+        block = decode_waveform(content)
+        channels = {name: x for name, x in block.channels.items() if name not in without}
+        new = encode_waveform(WaveformBlock(block.stamp_ns + shift_ns, block.t, channels), OFFLINE)
+    return topic, kind, log_time + log_shift_ns, OFFLINE.serialize(new)
+
+
+def at_half_time(change):
+    """Change the blocks from 0.505 s to 0.605 s."""
+    return lambda message, content, seconds: (
+        change(message, content)
+        if message[0] == '/axle_box_acceleration' and 0.505 < seconds < 0.605 else [message])
+
+
+def after_half_time_later(message, content, seconds):
+    later = 7 * SECOND
+    return [again(message, content, later, later) if seconds > 0.505 else message]
+
+
+def one_speed_late(message, content, seconds):
+    late = message[0] == '/speed' and abs(seconds - 0.5) < 1e-3
+    return [again(message, content, 0, SECOND // 4) if late else message]
+
+
+@pytest.mark.parametrize(('change', 'words'), [
+    (at_half_time(lambda m, _: []), ['gap of 0.1 s (1000 samples)']),
+    (after_half_time_later, ['stamped 7.000 s after the expected time', 'gap of 7', 'no speed']),
+    (lambda m, c, _: [again(m, c, 0, without=['trail'])], ['trail: no channel']),
+    (at_half_time(lambda m, c: [again(m, c, 0, without=['lead'])]),
+     ['lead: no channel', 'lead: good samples again']),
+    (at_half_time(lambda m, c: [m, m]), ['it has the stamp of the last one']),
+    (at_half_time(lambda m, c: [m, again(m, c, -SECOND // 50)]), ['0.020 s before the last one']),
+    (one_speed_late, ['too late and not used (1 so far)']),
+], ids=['gap', 'long gap', 'dead', 'missing', 'duplicate', 'out of order', 'late speed'])
+def test_normal_operation_is_told_and_is_no_defect(change, words, vehicle, run, tmp_path, capsys):
+    bag = rewritten(run, tmp_path / 'changed.mcap', lambda message, content, seconds: (
+        [message] if message[0] == '/remarks' else change(message, content, seconds)))
+    output = tmp_path / 'out.mcap'
+    assert estimate(bag, vehicle, output, '--json') == 0
+    told = capsys.readouterr()
+    summary = json.loads(told.out)
+    assert summary['defects'] == []
+    assert all(str(bag) in line for line in summary['remarks'])
+    assert told.err == ''.join(f'railtrack estimate: {line}\n' for line in summary['remarks'])
+    for word in words:
+        assert any(word in line for line in summary['remarks']), word
+
+
+def test_neighbours_of_a_dead_axle_box_are_warned_of(run, tmp_path, capsys):
+    path = tmp_path / 'four.yaml'
+    boxes = [*VEHICLE['axle_boxes'], {'name': 'other', 'rail': 'right', 'offset': 0.0}]
+    path.write_text(yaml.safe_dump({**VEHICLE, 'axle_boxes': boxes}))
+
+    def levels(name, change):
+        def give(message, content, seconds):
+            if message[0] != '/axle_box_acceleration':
+                return [message]
+            block = decode_waveform(content)
+            channels = {**block.channels, 'other': block.channels['lead'].copy()}
+            change(channels, seconds)
+            block = WaveformBlock(block.stamp_ns, block.t, channels)
+            return [(*message[:3], OFFLINE.serialize(encode_waveform(block, OFFLINE)))]
+
+        bag, output = tmp_path / f'{name}.mcap', tmp_path / f'{name}_out.mcap'
+        assert estimate(rewritten(run, bag, give), path, output) in (0, 3)
+        with open_bag(output) as opened:
+            status = [s for m in opened.messages({'/diagnostics'})
+                      for s in decode_diagnostics(opened.decode(m))[1]]
+        return {s.name.rsplit(' ', 1)[1]: (s.level, s.message) for s in status[1:]}
+
+    def absent(channels, seconds):
+        del channels['trail']
+
+    def absent_for_a_while(channels, seconds):
+        if 0.5 < seconds < 0.6:
+            del channels['trail']
+
+    def one_sample(channels, seconds):
+        if abs(seconds - 0.5) < 1e-3:
+            channels['trail'] = np.where(np.arange(BLOCK) == 7, np.nan, channels['trail'])
+
+    for name, change, trail in (('dead', absent, 2), ('while', absent_for_a_while, 1)):
+        found = levels(name, change)
+        assert found['trail'][0] == trail
+        assert found['lead'][0] == 1
+        assert 'trail on the same rail is dead' in found['lead'][1]
+        assert found['other'][0] == 0
+    found = levels('sample', one_sample)
+    assert [found[box][0] for box in ('lead', 'trail', 'other')] == [0, 1, 0]
+
+
 @pytest.mark.parametrize(('case', 'words'), [
     ('nan', 'lead: 1 of 100 samples are no number'),
-    ('missing', 'trail: no channel'),
-    ('gap', 'gap of 0.1 s (1000 samples)'),
     ('garbage', 'message at'),
+    ('silent', 'no speed for'),
+    ('clock', 's before the expected time, which is believed'),
 ])
 def test_defects_are_told_and_the_rest_is_estimated(case, words, vehicle, tmp_path, capsys):
     channels = accelerations(1.0)
     bag = tmp_path / 'defect.mcap'
     if case == 'nan':
         channels['lead'][9000] = np.nan
-    elif case == 'missing':
-        del channels['trail']
     write_run(bag, channels)
-    if case in ('gap', 'garbage'):
-        with open_bag(bag) as source, Recording(tmp_path / 'cut.mcap') as recording:
-            for m in source.messages():
-                seconds = (m.log_time - START) / SECOND
-                hit = m.topic == '/axle_box_acceleration' and 0.505 < seconds < 0.605
-                if not hit:
-                    recording.write_raw(m.topic, m.type, m.log_time, m.data)
-                elif case == 'garbage':
-                    recording.write_raw(m.topic, m.type, m.log_time, m.data[:57])
-        bag = tmp_path / 'cut.mcap'
+    if case == 'garbage':
+        bag = rewritten(bag, tmp_path / 'cut.mcap', at_half_time(
+            lambda m, c: [(*m[:3], m[3][:57])]))
+    elif case == 'silent':
+        bag = rewritten(bag, tmp_path / 'silent.mcap', lambda m, c, seconds: (
+            [] if m[0] == '/speed' and 0.4 < seconds < 5.0 else [m]))
+    elif case == 'clock':
+        bag = rewritten(bag, tmp_path / 'jump.mcap', at_half_time(
+            lambda m, c: [again(m, c, -60 * SECOND), m]))
     output = tmp_path / 'out.mcap'
-    assert estimate(bag, vehicle, output) == 3
+    options = ['--speed-timeout', '0.2'] if case == 'silent' else []
+    assert estimate(bag, vehicle, output, *options) == 3
     lines = complaint(capsys)
     assert any(words in line for line in lines)
     assert all(str(bag) in line for line in lines)
     assert len(lines) <= 13
     force = waveforms(output)['/track_estimator/contact_force'].channels['lead']
-    assert np.isfinite(force[-100:]).all() == (case != 'nan')
+    assert np.isfinite(force[-100:]).all() == (case not in ('nan', 'silent'))
     with open_bag(output) as opened:
         status = [s for m in opened.messages({'/diagnostics'})
                   for s in decode_diagnostics(opened.decode(m))[1]]

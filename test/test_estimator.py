@@ -9,6 +9,7 @@ from scipy import signal
 from railtrack_ros.dynamics.recursive import RecursiveForward
 from railtrack_ros.errors import InputError
 from railtrack_ros.estimation.estimator import Estimator
+from railtrack_ros.estimation.section import SAMPLES_A_WAVE
 from railtrack_ros.estimation.settings import (
     EstimatorSettings,
     IndicatorSettings,
@@ -397,3 +398,47 @@ def test_every_setting_is_declared_with_words_and_a_default_in_its_range(setting
         assert len(setting.description) > 20
         assert setting.check(setting.default) == setting.default
         assert setting.kind is type(setting.default)
+
+
+@pytest.mark.parametrize('samples', [SAMPLES_A_WAVE, 10.0])
+def test_waves_of_so_many_samples_are_right_within_so_many_decibels(table_3_1, samples):
+    vehicle = dataclasses.replace(bogie(), axle_boxes=bogie().axle_boxes[:1])
+    name = 'lead'
+    speed, rate, often = 20.0, 2000.0, 16
+    wavelength = samples * speed / rate
+    t = np.arange(round(1.2 * rate * often)) / (rate * often)
+    truth = 1e-6 * np.sin(2.0 * np.pi * speed * t / wavelength) * np.clip(speed * t, 0.0, 1.0)
+    bay = make_bay(table_3_1)
+    driven = RecursiveForward(bay, vehicle, [0.0], t[1], 0.0).run(speed * t, truth[:, None])
+    estimator = Estimator(table_3_1, vehicle)
+    estimator.add_speed(START, speed)
+    acceleration = driven.axle_box_acceleration[::often, 0]
+    block = estimator.process(START, t[::often], {name: acceleration})
+    found = block.irregularity[name]
+    inside = np.isfinite(found)
+    wave = np.exp(2j * np.pi * speed * t[::often] / wavelength)[inside]
+    assert inside.sum() > 1000
+    level = 20.0 * np.log10(abs(np.mean(found[inside] * wave)) / 0.5e-6)
+    assert abs(level) < (0.6 if samples < 10.0 else 0.2)
+
+
+def test_a_stream_of_single_samples_is_estimated_as_blocks_are(fresh):
+    vehicle = dataclasses.replace(bogie(), axle_boxes=bogie().axle_boxes[:1])
+    n, rate = 2000, 2560.0
+    a = np.random.default_rng(3).standard_normal(n)
+    found = []
+    for size in (1, 20):
+        estimator = fresh(vehicle)
+        for k in range(-2, 10):
+            estimator.add_speed(START + k * S // 10, 25.0)
+        stamps = [START + round(k / rate * S) for k in range(0, n, size)]
+        blocks = [estimator.process(stamp, np.arange(size) / rate, {'lead': a[k * size:][:size]})
+                  for k, stamp in enumerate(stamps)]
+        parts = [block for block in blocks if block is not None]
+        assert estimator.health.dropped_blocks == 0
+        assert estimator.take_notes() == []
+        assert len(parts) == (n - 32 if size == 1 else n // size)
+        found.append([np.concatenate([part.position for part in parts])[-1000:],
+                      np.concatenate([part.rail_deflection['lead'] for part in parts])[-1000:]])
+    assert np.abs(found[0][0] - found[1][0]).max() < 1e-5
+    assert np.abs(found[0][1] - found[1][1]).max() < 1e-3 * np.std(found[1][1])

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from railtrack_ros.dynamics.irf import IrfForward
+from railtrack_ros.dynamics.irf import LEFT, MEMORY, IrfForward, memory_of
 from railtrack_ros.dynamics.modes import make_track_modes
 from railtrack_ros.dynamics.newmark import FullModel
 from railtrack_ros.dynamics.recursive import RecursiveForward
@@ -127,3 +127,32 @@ class TestEverySolver:
 def test_too_short_a_memory_is_refused():
     with pytest.raises(InputError, match='memory'):
         IrfForward(bay_of('distributed', Mesh(6)), VEHICLE, [0.0], STEP, 0.0, memory=1e-5)
+
+
+def damped(pad, ballast, loss=0.02):
+    support = dataclasses.replace(
+        TRACK.support, kind='distributed', pad_damping=pad, ballast_damping=ballast)
+    return make_bay(dataclasses.replace(
+        TRACK, support=support, rail=dataclasses.replace(TRACK.rail, loss_factor=loss)), Mesh(4))
+
+
+def test_the_memory_is_as_long_as_the_track_rings():
+    ordinary, ringing, undamped = damped(48e3, 47e3), damped(10e3, 10e3), damped(0.0, 0.0, 0.0)
+    assert memory_of(ordinary) == MEMORY[0]
+    assert MEMORY[0] < memory_of(ringing) < MEMORY[1] == memory_of(undamped)
+    left = [IrfForward(bay, VEHICLE, [0.0], 1e-4, 0.0).left
+            for bay in (ordinary, ringing, undamped)]
+    assert max(left[:2]) <= LEFT < left[2]
+    assert IrfForward(ringing, VEHICLE, [0.0], 1e-4, 0.0, memory=0.1).left > 5.0 * LEFT
+
+
+def test_convolution_repeats_the_full_model_on_a_track_that_rings_for_long():
+    bay, step = damped(10e3, 10e3), 1e-4
+    position = 20.0 * step * np.arange(4000)
+    irregularity = 1e-5 * np.sin(2.0 * np.pi * position / 0.5)[:, None]
+    reference = FullModel(bay, VEHICLE, [0.0], step, 0.0).run(position, irregularity)
+    error = [relative(IrfForward(bay, VEHICLE, [0.0], step, 0.0, memory).run(
+        position, irregularity).rail_deflection, reference.rail_deflection)
+        for memory in (None, 0.1)]
+    assert error[0] < 0.02
+    assert error[1] > 5.0 * error[0]

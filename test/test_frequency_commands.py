@@ -129,8 +129,7 @@ def test_every_command_draws_its_plot(command, options, suffix, run, tmp_path, c
     (['--at', '9', '--frequencies', '10', '--bays', '11'], 'around 9 m'),
     (['--at', '0', '--sleeper', '7', '--frequencies', '10', '--bays', '11'], 'bay 7'),
     (['--at', '0', '--frequencies', '10', '--bays', '0'], '--bays'),
-    (['--at', '0', '--frequencies', '10', '--elements-per-bay', '4'], '--elements-per-bay'),
-    (['--at', '0', '--frequencies', '10', '--local-system', 'static'], '--local-system'),
+    (['--at', '0', '--frequencies', '10', '--local-elements', '5'], '--local-elements'),
     (['--at', '0', '--frequencies', '10', '--response-at', '1', '--sleeper', '1'], '--sleeper'),
     (['--at', '0', '--frequencies', '10', '--plot', 'plot.jpg'], 'plot.jpg'),
 ])
@@ -141,6 +140,28 @@ def test_bad_input_is_one_clear_line(options, said, tmp_path, capsys):
     assert error.count('\n') == 1
     assert said in error
     assert not output.exists()
+
+
+def test_the_infinite_track_has_no_use_for_the_options_of_a_mesh(capsys, tmp_path):
+    plain, meshed = tmp_path / 'plain.csv', tmp_path / 'meshed.csv'
+    options = ['receptance', *TRACK, '--at', '0.2', '--frequencies', '200,900', '--output']
+    assert main.main([*options, str(plain)]) == 0
+    assert capsys.readouterr().err == ''
+    assert main.main([*options, str(meshed), '--elements-per-bay', '4', '--elements-per-pad', '2',
+                      '--local-system', 'static']) == 0
+    told = capsys.readouterr().err
+    assert told.count('\n') == 1
+    for words in ('--local-system, --elements-per-bay, --elements-per-pad', 'infinite', '--bays N'):
+        assert words in told
+    assert meshed.read_text() == plain.read_text()
+    assert main.main([*options, str(meshed), '--bays', '31', '--elements-per-bay', '4']) == 0
+    assert capsys.readouterr().err == ''
+
+
+def test_a_place_far_out_is_named_to_the_centimetre(capsys, tmp_path):
+    assert main.main(['receptance', *TRACK, '--at', '350000.4', '--frequencies', '200',
+                      '--output', str(tmp_path / 'far.csv')]) == 0
+    assert 'force at 350000.4 m' in capsys.readouterr().out
 
 
 def test_track_with_a_stretch_needs_a_number_of_bays(capsys, tmp_path):

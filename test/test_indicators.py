@@ -189,6 +189,7 @@ def test_single_and_double_precision_give_the_same_numbers():
     (25.0, 25600.0, 3.0, (True, True, True, True)),
     (80.0, 25600.0, 3.0, (False, True, True, True)),   # 8 kHz at 10 mm: beyond the track model
     (18.9, 2000.0, 3.0, (False, True, True, True)),    # 9.4 mm a sample
+    (26.0, 2560.0, 3.0, (False, False, True, True)),   # 30 mm are less than three samples
     (25.0, 2000.0, 3.0, (False, False, True, True)),
     (25.0, 25600.0, 1.0, (True, True, True, False)),
 ])

@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import math
 import time
 
 import pytest
@@ -154,6 +155,8 @@ def test_all_is_well():
     ('acceleration', WARN, '1 gaps', {'gaps': 1}),
     ('speed', ERROR, 'nothing is estimated', {'speed_state': 'silent'}),
     ('speed', ERROR, 'no speed', {'speed_messages': 0}),
+    ('speed', ERROR, 'no speed', {'blocks': 0, 'speed_overdue': True}),
+    ('speed', ERROR, 'no speed', {'speed_state': 'none', 'speed_overdue': True}),
     ('speed', ERROR, 'not a plausible speed', {'refused_speeds': 1}),
     ('speed', WARN, 'raise speed_delay', {'late_speeds': 1}),
     ('axle box axle1_left', ERROR, 'no channel axle1_left', {
@@ -221,6 +224,18 @@ def test_what_was_wrong_before_is_forgotten():
     before = picture(gaps=3, late_speeds=2, lost=7, blocks=100)
     now = picture(gaps=3, late_speeds=2, lost=7, blocks=200, speed_messages=200)
     assert {status.level for status in diagnosed(now, before).values()} == {OK}
+
+
+@pytest.mark.parametrize(('interval', 'level'), [(1.0, OK), (1.7, WARN), (math.nan, OK)])
+@pytest.mark.parametrize('messages', [0, 1, 2])
+def test_seldom_speed_is_judged_alike_in_reports_with_and_without_a_message(
+        interval, level, messages):
+    """It is lost when the estimator says so: as long as the position moves on it is not."""
+    before = picture(blocks=100, speed_messages=5)
+    now = picture(blocks=200, speed_messages=5 + messages, speed_interval=interval)
+    status = diagnosed(now, before)['speed']
+    assert status.level == level
+    assert 'nothing is estimated' not in status.message
 
 
 def test_a_missing_publisher_is_told_apart_from_a_silent_one():

@@ -1,11 +1,13 @@
 """Nodes as processes: how they start, end, and what they leave behind."""
 
 import os
+import re
 import signal
 import socket
 import subprocess
 import sys
 import time
+from importlib.metadata import entry_points
 from pathlib import Path
 
 import pytest
@@ -85,6 +87,43 @@ def test_a_signal_ends_a_node_with_status_0(
     wait_for(lambda: process.status is not None)
     assert process.stop() == 0, process.tail()
     assert 'Traceback' not in process.log_file.read_text()
+
+
+def heeds_signals(pid):
+    """Return whether a process has a handler of SIGTERM; Python itself sets none."""
+    caught = re.search(r'^SigCgt:\s*(\w+)$', Path(f'/proc/{pid}/status').read_text(), re.MULTILINE)
+    return caught is not None and bool(int(caught[1], 16) & 1 << signal.SIGTERM - 1)
+
+
+@pytest.mark.skipif(sys.platform != 'linux', reason='reads /proc')
+@pytest.mark.parametrize('script', [False, True])
+@pytest.mark.parametrize('module', [ESTIMATOR, RECORDER, VEHICLE])
+def test_a_signal_during_the_imports_ends_a_node_with_status_0(tmp_path, module, script):
+    """The handler is there first: the imports take a second or more."""
+    program = f'from railtrack_ros.node import start; start.{module.rpartition(".")[2]}()'
+    command = ['-c', program] if script else ['-m', module]
+    if module == RECORDER:
+        command += ros_parameters({'output': str(tmp_path / 'o.mcap')})
+    for number, wait in ((signal.SIGINT, 0.0), (signal.SIGINT, 0.3), (signal.SIGTERM, 0.9)):
+        (tmp_path / 'o.mcap').unlink(missing_ok=True)
+        with (tmp_path / 'log').open('w+') as log, subprocess.Popen(
+                [sys.executable, *command], stdout=log, stderr=log, cwd=tmp_path) as child:
+            try:
+                wait_for(lambda pid=child.pid: heeds_signals(pid))
+                time.sleep(wait)
+                child.send_signal(number)
+                assert child.wait(DEADLINE) == 0
+            finally:
+                child.kill()
+            log.seek(0)
+            assert 'Traceback' not in log.read()
+
+
+def test_the_programs_of_the_nodes_are_those_that_heed_signals_at_once():
+    programs = {entry.name: entry.value for entry in entry_points(group='console_scripts')
+                if entry.value.startswith('railtrack_ros.node')}
+    assert programs == {name: f'railtrack_ros.node.start:{name}' for name in (
+        'track_estimator', 'virtual_vehicle', 'recorder')}
 
 
 @pytest.mark.parametrize(('module', 'parameters', 'words'), [

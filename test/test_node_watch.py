@@ -151,6 +151,20 @@ def test_resolution_and_pauses_of_an_odometer_are_no_slip():
     assert watch.take() < 1.0
 
 
+def test_a_watch_tells_how_far_apart_speeds_are_and_for_how_long_none_came():
+    moment = [10.0]
+    watch = SpeedWatch(lambda: moment[0])
+    moment[0] = 11.5
+    assert watch.silence == 1.5
+    assert math.isnan(watch.interval)
+    watch.add(100 * SECOND, 20.0)
+    watch.add(102 * SECOND, 20.0)
+    assert (watch.silence, watch.interval) == (0.0, 2.0)
+    watch.add(50 * SECOND, 20.0)  # a clock that was set back tells no interval
+    moment[0] = 12.0
+    assert (watch.silence, watch.interval) == (0.5, 2.0)
+
+
 def test_distances_on_the_sphere():
     assert distance(0.0, 0.0, 0.0, 1.0) == pytest.approx(111_195, rel=1e-4)
     assert distance(60.0, 10.0, 60.0, 11.0) == pytest.approx(111_195 / 2, rel=1e-3)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from railtrack_ros.errors import InputError
-from railtrack_ros.output import replacing, write_csv
+from railtrack_ros.output import metres, refuse_inputs, replacing, write_csv
 
 
 def write_half(target, reason):
@@ -26,6 +26,19 @@ def test_a_file_appears_when_it_is_complete(tmp_path):
         assert not target.exists()
     assert target.read_text() == 'half'
     assert list(target.parent.iterdir()) == [target]
+
+
+@pytest.mark.parametrize(('position', 'text'), [
+    (350000.4, '350000.4'), (1234567.89, '1234567.89'), (0.325, '0.325'), (-12.0, '-12'),
+    (-1e-9, '0'), (100.0, '100'), (23.9999999, '24'),
+])
+def test_positions_keep_their_centimetres_far_out(position, text):
+    assert metres(position) == text
+
+
+def test_text_that_is_no_path_is_no_input(tmp_path):
+    refuse_inputs(tmp_path / 'out.csv', ['x' * 5000, 'no\0path', '~nobody/x', '', 'sine:1:1e-6'])
+    refuse_inputs('/dev/null', ['/dev/null'])  # nothing to lose
 
 
 @pytest.mark.parametrize('reason', [KeyboardInterrupt, ValueError])

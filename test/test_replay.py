@@ -237,7 +237,7 @@ def test_the_full_model_explains_a_run_that_a_finer_one_made(replayed):
         difference, reference = overall(result.replayed.errors, quantity, *pair)
         assert difference < share * reference, quantity
         assert abs(worst(result.replayed.errors, quantity, *pair).level_difference) < decibels
-    assert result.notes == []
+    assert result.defects == result.remarks == []
 
 
 def test_forces_below_the_band_are_not_claimed(replayed):

@@ -289,11 +289,13 @@ def test_the_page_of_an_estimate_tells_what_it_was_computed_with(table_3_1, tmp_
     found = Estimated(EstimatorSettings(), sample_rate=25600.0, duration=10.0, distance=300.0,
                       start=0.0, end=300.0, lowest_speed=29.0, highest_speed=31.0,
                       boxes={'axle1_left': BoxFigures(1000, 980, 30e3, 90e3)},
-                      defects=['run.mcap: gap of 0.05 s'])
+                      defects=['run.mcap: lead: 3 of 100 samples are no number'],
+                      remarks=['run.mcap: gap of 0.05 s'])
     path = tmp_path / 'estimate.html'
     report = write_estimate_report(path, 'run.mcap', found, table_3_1, coach, IndicatorSettings())
     page = path.read_text()
-    for text in ('gap of 0.05 s', 'cut on wavelength', '3.0 m', __version__, '25600 Hz',
+    for text in ('recording has defects: run.mcap: lead: 3 of', 'In the recording: run.mcap: gap',
+                 'cut on wavelength', '3.0 m', __version__, '25600 Hz',
                  'Butterworth', 'distributed, every 0.6 m', '98.0', 'minimum prominence'):
         assert text in page, text
     assert report.title == 'Estimate of run.mcap'

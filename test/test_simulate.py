@@ -164,6 +164,11 @@ def test_model_options_change_the_model(tmp_path, capsys):
     assert 'Newton iterations' in capsys.readouterr().out
 
 
+def test_places_far_out_are_named_to_the_centimetre(tmp_path, capsys):
+    simulate(tmp_path / 'far.csv', '--speed', '24', '--start', '350000.4', '--distance', '0.12')
+    assert 'time steps, 350000.4 to 350000.52 m' in capsys.readouterr().out
+
+
 def test_failure_keeps_the_results_before_it(tmp_path, capsys):
     wall = table(tmp_path / 'wall.csv', {
         'position_m': [-1.0, 0.5, 0.502, 2.0], 'irregularity_m': [0.0, 0.0, 1e300, 0.0]})
@@ -247,6 +252,16 @@ def test_options_of_another_solver_are_refused(capsys, tmp_path, options, words)
                    *options])
     assert status == 2
     assert words in capsys.readouterr().err
+
+
+def test_a_memory_that_is_too_short_is_told(capsys, tmp_path):
+    for memory, told in (('0.02', 1), ('0.1', 0)):
+        assert main(['simulate', '--track', 'blanco_table_3_1', '--vehicle', 'blanco_table_3_1',
+                     '--solver', 'irf', '--speed', '30', '--distance', '0.3', '--time-step', '1e-4',
+                     '--memory', memory, '--output', str(tmp_path / 'x.csv')]) == 0
+        lines = capsys.readouterr().err.splitlines()
+        assert len(lines) == told
+        assert all('memory of 0.02 s' in line and '% of a deflection' in line for line in lines)
 
 
 @pytest.mark.parametrize('solver', ['irf', 'recursive'])

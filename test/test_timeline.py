@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from railtrack_ros.estimation.odometer import GLIDE, Odometer
-from railtrack_ros.estimation.timeline import Place, SampleClock
+from railtrack_ros.estimation.timeline import SINGLES, Place, SampleClock
 
 MS = 1_000_000
 S = 1_000_000_000
@@ -113,7 +113,7 @@ def test_other_sample_rate_begins_a_new_stretch():
 
 
 @pytest.mark.parametrize('t', [
-    [], [0.0], [0.0, np.nan], [0.0, 0.0], [0.001, 0.0], [0.0, 0.001, 0.002, 0.013],
+    [], [0.0, np.nan], [0.0, 0.0], [0.001, 0.0], [0.0, 0.001, 0.002, 0.013],
 ])
 def test_block_without_usable_times_is_dropped(t):
     c = clock()
@@ -127,6 +127,22 @@ def test_single_samples_go_on_at_a_known_rate():
     c = clock()
     c.place(START, T10)
     assert c.place(START + 10 * MS, np.zeros(1))[0] is Place.CONTINUED
+
+
+@pytest.mark.parametrize('rate', [25600.0, 2000.0, 100.0])
+def test_single_samples_tell_their_rate_and_go_on(rate):
+    c = clock()
+    found = [c.place(START + round(k / rate * S), np.zeros(1)) for k in range(200)]
+    assert c.step == pytest.approx(1.0 / rate, rel=1e-6)
+    assert {place for place, _ in found[:SINGLES]} == {Place.HELD}
+    assert found[SINGLES:] == [(Place.STARTED, '')] + (199 - SINGLES) * [(Place.CONTINUED, '')]
+
+
+def test_a_gap_among_the_first_single_samples_does_not_count_for_the_rate():
+    c = clock()
+    for k in range(3 * SINGLES):
+        c.place(START + k * MS + (50 * MS if k > 10 else 0), np.zeros(1))
+    assert c.step == pytest.approx(STEP)
 
 
 # Speed

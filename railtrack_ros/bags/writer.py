@@ -24,7 +24,7 @@ from railtrack_ros.bags.joining import join_files
 from railtrack_ros.bags.mcap_file import FACTS, FACTS_CHECKSUM, facts_checksum
 from railtrack_ros.bags.message_types import OFFLINE
 from railtrack_ros.errors import InputError
-from railtrack_ros.output import replacing
+from railtrack_ros.output import refuse_inputs, replacing
 
 ACCELERATION_TOPIC = '/axle_box_acceleration'
 SPEED_TOPIC = '/speed'
@@ -270,12 +270,6 @@ def join_recordings(
 def name_in_folder(folder: Path) -> str:
     """Return the name of the file in a rosbag2 folder."""
     return f'{folder.resolve().name}_0.mcap'
-
-
-def refuse_inputs(output: str | Path, inputs: Iterable[str | Path]) -> None:
-    """Raise an InputError where the output is one of the inputs."""
-    if any(Path(output).resolve() == Path(other).resolve() for other in inputs):
-        raise InputError(f'{output}: is the input itself; choose another output')
 
 
 def write_metadata(

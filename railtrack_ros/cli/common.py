@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import os
 import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
+from railtrack_ros.errors import InputError
+from railtrack_ros.output import refuse_inputs
 from railtrack_ros.parameters import ANY, NOT_NEGATIVE, Range
 from railtrack_ros.track.description import SUPPORT_KINDS, Track, load_track, shipped_tracks
 from railtrack_ros.vehicle.description import shipped_vehicles
@@ -18,6 +21,9 @@ if TYPE_CHECKING:
     from railtrack_ros.track.bay import Mesh
 
 MOST_FREQUENCIES = 1_000_000
+
+# Arguments of all commands that name what is written; whatever else names a file is an input.
+OUTPUTS = ('output', 'plot', 'report', 'page', 'rails', 'grind_list', 'spectra', 'wheels')
 
 
 def number(allowed: Range = ANY) -> Callable[[str], float]:
@@ -92,6 +98,30 @@ def written(args: argparse.Namespace) -> list[str]:
     """Return a line that names the files which --output and --plot have made."""
     files = [name for name in (args.output, args.plot) if name]
     return [f'written: {", ".join(files)}'] if files else []
+
+
+def refuse_overwriting(args: argparse.Namespace) -> None:
+    """Refuse arguments that would replace an input by an output, or one output by another.
+
+    Raises
+    ------
+    InputError
+        Two arguments mean the same file, or an output lies in an input folder.
+    """
+    values = vars(args)
+    outputs = [values[name] for name in OUTPUTS if values.get(name)]
+    inputs: list[str] = []
+    for name, value in values.items():
+        if name not in OUTPUTS:
+            inputs += [x for x in (value if isinstance(value, list) else [value])
+                       if isinstance(x, str)]
+    written: set[str] = set()
+    for output in outputs:
+        refuse_inputs(output, inputs)
+        place = os.path.realpath(os.path.expanduser(output))
+        if place in written and not place.startswith('/dev/'):
+            raise InputError(f'{output}: is named for two outputs; choose another for one of them')
+        written.add(place)
 
 
 def add_frequencies(parser: argparse.ArgumentParser) -> None:

@@ -81,4 +81,5 @@ def run(args: argparse.Namespace) -> Outcome:
     summary = {'output': args.output, **found.summary(), 'elapsed_s': elapsed}
     speed = f'{found.duration / elapsed:.1f} times real time'
     written = ', '.join(filter(None, (args.output, args.report)))
-    return Outcome(summary, [*found.lines(), f'written: {written} ({speed})'], found.defects)
+    lines = [*found.lines(), f'written: {written} ({speed})']
+    return Outcome(summary, lines, found.defects, found.remarks)

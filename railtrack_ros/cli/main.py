@@ -70,11 +70,15 @@ class Outcome:
         The same for people.
     defects
         What was wrong with the input although the work was done, a line each.
+    remarks
+        What else there is to say on the input or the options, a line each: told on standard
+        error too, but no reason for another exit status.
     """
 
     summary: Mapping[str, Any]
     lines: Sequence[str] = ()
     defects: Sequence[str] = field(default=())
+    remarks: Sequence[str] = field(default=())
 
 
 class Parser(argparse.ArgumentParser):
@@ -110,8 +114,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return 0
         program = f'railtrack {name}'
         outcome, as_json = execute(name, arguments[1:])
-        for defect in outcome.defects:
-            complain(program, defect)
+        for line in (*outcome.defects, *outcome.remarks):
+            complain(program, line)
         print_outcome(outcome, as_json)
         return DONE_WITH_DEFECTS if outcome.defects else 0
     except InputError as error:
@@ -155,6 +159,8 @@ def command_name(arguments: Sequence[str]) -> str | None:
 def execute(name: str, arguments: Sequence[str]) -> tuple[Outcome, bool]:
     """Run a command; return its outcome and whether it is wanted as JSON."""
     command = importlib.import_module(module_name(name))
+    from railtrack_ros.cli.common import refuse_overwriting
+
     parser = Parser(
         prog=f'railtrack {name}',
         description=f'{COMMANDS[name][0].upper()}{COMMANDS[name][1:]}.',
@@ -165,6 +171,7 @@ def execute(name: str, arguments: Sequence[str]) -> tuple[Outcome, bool]:
     command.add_arguments(parser)
     parser.add_argument('--json', action='store_true', help='print a machine-readable summary')
     args = parser.parse_args(arguments)
+    refuse_overwriting(args)
     return command.run(args), args.json
 
 

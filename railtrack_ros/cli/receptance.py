@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> Outcome:
         local_modes_around,
         receptances,
     )
-    from railtrack_ros.output import write_csv
+    from railtrack_ros.output import metres, write_csv
     from railtrack_ros.report import curves
     from railtrack_ros.track.description import Track
     from railtrack_ros.track.infinite import Sleeper
@@ -58,18 +58,24 @@ def run(args: argparse.Namespace) -> Outcome:
     if args.plot:
         curves.check_format(args.plot)
     track, mesh = common.model(args)
+    remarks = []
     if args.bays is None:
-        for option in ('local_system', 'elements_per_bay', 'elements_per_pad', 'local_elements'):
-            if getattr(args, option) is not None:
-                raise InputError(f'--{option.replace("_", "-")}: the infinite track is exact and '
-                                 'has no mesh; give --bays N for finite elements')
+        if args.local_elements is not None:
+            raise InputError('--local-elements: the infinite track is exact and has no mesh; give '
+                             '--bays N for finite elements')
+        unused = [f'--{option.replace("_", "-")}'
+                  for option in ('local_system', 'elements_per_bay', 'elements_per_pad')
+                  if getattr(args, option) is not None]
+        if unused:
+            remarks = [f'{", ".join(unused)}: without effect, as the infinite track is exact and '
+                       'has no mesh; give --bays N for finite elements']
     frequencies = checked_frequencies(args.frequencies)
-    force = metres(args.at, track.support.spacing)
+    force = position(args.at, track.support.spacing)
     response: float | Sleeper = force
     if args.sleeper is not None:
         response = Sleeper(args.sleeper)
     elif args.response_at is not None:
-        response = metres(args.response_at, track.support.spacing)
+        response = position(args.response_at, track.support.spacing)
     subject: Track | FiniteTrack = track
     if args.bays is not None:
         subject = finite_track(track, mesh, args.bays)
@@ -82,11 +88,11 @@ def run(args: argparse.Namespace) -> Outcome:
         'receptance_real_m_per_n': h.real,
         'receptance_imag_m_per_n': h.imag,
     })
-    where = f'force at {force:g} m'
+    where = f'force at {metres(force)} m'
     if isinstance(response, Sleeper):
         where += f', sleeper {response.number}'
     elif response != force:
-        where += f', rail at {response:g} m'
+        where += f', rail at {metres(response)} m'
     kind = 'infinite track' if args.bays is None else f'{args.bays} bays'
     what = f'{track.name}, {track.support.kind} supports, {kind}, {where}'
     if args.plot:
@@ -99,7 +105,7 @@ def run(args: argparse.Namespace) -> Outcome:
         'response_at_m': None if isinstance(response, Sleeper) else response,
         'sleeper': args.sleeper, 'frequencies': frequencies.size,
         'largest_m_per_n': abs(h[top]), 'largest_at_hz': frequencies[top],
-        'output': args.output, 'plot': args.plot,
+        'output': args.output, 'plot': args.plot, 'remarks': remarks,
     }
     lines = [
         what,
@@ -107,7 +113,7 @@ def run(args: argparse.Namespace) -> Outcome:
         f'{frequencies[top]:g} Hz',
         *common.written(args),
     ]
-    return Outcome(summary, lines)
+    return Outcome(summary, lines, remarks=remarks)
 
 
 def place(text: str) -> str | float:
@@ -123,7 +129,7 @@ def place(text: str) -> str | float:
     return value
 
 
-def metres(place: str | float, spacing: float) -> float:
+def position(place: str | float, spacing: float) -> float:
     """Return the position [m] of a place."""
     if isinstance(place, float):
         return place

@@ -91,4 +91,4 @@ def run(args: argparse.Namespace) -> Outcome:
             acceleration_topic=args.acceleration_topic, speed_topic=args.speed_topic,
             progress=lambda seconds: bar.update(seconds - bar.n), section_length=args.section)
     return Outcome(result.summary, [*result.report.findings, f'report: {args.output}/report.html'],
-                   result.notes)
+                   result.defects, result.remarks)

@@ -11,6 +11,7 @@ import numpy as np
 from railtrack_ros.cli import common
 from railtrack_ros.cli.main import Outcome
 from railtrack_ros.errors import InputError
+from railtrack_ros.output import metres
 from railtrack_ros.parameters import POSITIVE
 
 if TYPE_CHECKING:
@@ -71,7 +72,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         'exact exponentials for forces that are linear within a time step, for '
                         'coarse steps')
     online.add_argument('--memory', type=number(POSITIVE), metavar='S',
-                        help='irf: length of the impulse responses (default 0.1)')
+                        help='irf: length of the impulse responses (default: until 0.1 %% '
+                        'of a deflection is left, 0.1 to 0.3)')
     online.add_argument('--cut-off', type=number(POSITIVE), metavar='HZ',
                         help='recursive: poles up to here are kept one by one (default 6000)')
     online.add_argument('--bays-in-ring', type=common.count(3), metavar='N',
@@ -206,7 +208,8 @@ def _outcome(args: argparse.Namespace, forward: ForwardRun, statistics: _Statist
     }
     lines = [
         f'{bay.track.name}, {bay.track.support.kind} supports, {forward.vehicle.name}: '
-        f'{statistics.steps} time steps, {settings.start:g} to {settings.start + travelled:.6g} m',
+        f'{statistics.steps} time steps, {metres(settings.start)} to '
+        f'{metres(settings.start + travelled)} m',
     ]
     for i, box in enumerate(boxes):
         apart = statistics.apart[i] * settings.time_step
@@ -226,4 +229,4 @@ def _outcome(args: argparse.Namespace, forward: ForwardRun, statistics: _Statist
            f'{forward.most_iterations[0]}' if settings.solver == 'newmark' else ''),
         f'written: {args.output}',
     ]
-    return Outcome(summary, lines)
+    return Outcome(summary, lines, remarks=[forward.remark] if forward.remark else [])

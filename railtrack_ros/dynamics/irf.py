@@ -46,14 +46,50 @@ from railtrack_ros.vehicle.description import Vehicle
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-MEMORY = 0.1
-"""Length of the impulse responses [s] unless given: beyond it 0.1 % of the deflection is left."""
+# Of the deflection under a load this share may be left when the impulse responses end; they are
+# between these lengths [s] unless a memory is given.
+LEFT = 1e-3
+MEMORY = 0.1, 0.3
 
+# Poles [Hz] that tell what is left, and the time step [s] in which it is followed.
+SLOW_POLES = 2000.0
+DECAY_STEP = 5e-4
 
 HOLDS = ('trapezoidal', 'linear')
 
 # All poles up to here are in the responses of the hold `linear` [Hz]; the others act at once.
 MAXIMUM_FREQUENCY = 12000.0
+
+
+def deflection_left(bay: Bay, end: float) -> tuple[Array, Array]:
+    """What is left of the deflection under a standing load after it has been taken off.
+
+    Returns
+    -------
+    tuple
+        Times (n,) [s] from 0 to at least `end`, and (n,) the largest share of the static
+        deflection from that time on, at a sleeper or midspan, within half as long again.
+    """
+    modes = make_track_modes(bay, ring_length(bay, [0.0]), SLOW_POLES)
+    weights = modes.weights([0.0, 0.5 * bay.spacing])
+    poles = np.concatenate([modes.poles, modes.poles])
+    gain = -weights**2 / poles
+    static = gain.sum(axis=1).real
+    t = DECAY_STEP * np.arange(math.ceil(1.5 * end / DECAY_STEP) + 1)
+    share = np.empty(t.size)
+    for first in range(0, t.size, 64):
+        age = np.exp(np.outer(poles, t[first:first + 64]))
+        share[first:first + 64] = np.abs((gain @ age).real / static[:, None]).max(axis=0)
+    largest = np.maximum.accumulate(share[::-1])[::-1]
+    inside = t <= end + DECAY_STEP
+    return np.asarray(t[inside], dtype=np.float64), largest[inside]
+
+
+def memory_of(bay: Bay) -> float:
+    """Length of the impulse responses [s] after which 0.1 % of the deflection is left, bounded."""
+    t, left = deflection_left(bay, MEMORY[1])
+    enough = t[left < LEFT]
+    return max(MEMORY[0], min(float(enough[0]), MEMORY[1])) if enough.size else MEMORY[1]
 
 
 def element_impulse_responses(bay: Bay, time_step: float, steps: int, reach: int,
@@ -72,7 +108,10 @@ def element_impulse_responses(bay: Bay, time_step: float, steps: int, reach: int
         if hold == 'linear':
             h = _modal_responses(bay, time_step, steps, reach)
         else:
-            h = nodal_impulse_responses(bay, time_step, steps, reach)[:, :, reach:]
+            # A wave that comes back from an end has run twice the margin: as round a ring.
+            margin = max(newmark.default_margin(bay), ring_length(bay, [0.0]) // 2 + 1)
+            h = nodal_impulse_responses(
+                bay, time_step, steps, reach, margin=margin)[:, :, reach:]
         return {'h': np.ascontiguousarray(h, dtype=np.float32)}
 
     return np.asarray(cache.stored('responses', digest, compute)['h'], dtype=float)
@@ -256,12 +295,15 @@ class IrfForward:
 
     Same use and results as `newmark.FullModel`.  Parameters: bay; vehicle (wheel and contact are
     used); offsets of the wheels from the reference point [m]; time_step [s]; start_position [m],
-    where the wheels have stood at the first sample; memory [s]; hold.  Raises InputError.
+    where the wheels have stood at the first sample; memory [s], None for `memory_of`; hold.
+    Raises InputError.  `left` is the share of a deflection that the memory cuts off.
     """
 
     def __init__(self, bay: Bay, vehicle: Vehicle, offsets: Sequence[float], time_step: float,
-                 start_position: float, memory: float = MEMORY, hold: str = 'trapezoidal') -> None:
+                 start_position: float, memory: float | None = None,
+                 hold: str = 'trapezoidal') -> None:
         self.offsets = check_setup(offsets, time_step)
+        memory = memory_of(bay) if memory is None else float(memory)
         if not memory >= 10.0 * time_step:
             raise InputError(f'memory: {memory:g} s is too short, at least ten time steps '
                              f'({10.0 * time_step:g} s) are needed')
@@ -271,6 +313,7 @@ class IrfForward:
         self.time_step = float(time_step)
         self.start_position = float(start_position)
         self.memory = math.ceil(memory / time_step)
+        self.left = float(deflection_left(bay, memory)[1][-1])
         self.constants = wheel_constants(vehicle, time_step)
         self.iterations = self.steps = 0
         self._table = shape_table(bay)

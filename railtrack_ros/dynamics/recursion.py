@@ -164,7 +164,7 @@ def make_model(modes: TrackModes, time_step: float, hold: str) -> Model:
     o = step_of(modes.oscillators, time_step, hold)
     dofs, cubics = modes.table.dofs, modes.table.coefficients
     elements, k = dofs.shape
-    breaks = pieces(modes.table)
+    breaks = pieces(modes.table, PIECES)
     x = breaks[:-1, None] + NODES * np.diff(breaks)[:, None]
     fit = np.linalg.inv(NODES[:, None] ** np.arange(4))
     shape = fit @ modes.bay.shape(x.ravel()).reshape(*x.shape, -1)
@@ -186,10 +186,10 @@ def make_model(modes: TrackModes, time_step: float, hold: str) -> Model:
         hold == 'corrected')
 
 
-def pieces(table: ShapeTable) -> Array:
-    """Breaks [m] of the pieces of a bay, at least PIECES: elements and equal parts of them."""
+def pieces(table: ShapeTable, least: int) -> Array:
+    """Breaks [m] of at least so many pieces of a bay: elements and equal parts of them."""
     ends = table.breaks[np.flatnonzero(np.diff(table.element, prepend=-1, append=-1))]
-    parts = np.ceil(np.diff(ends) / table.spacing * PIECES - 1e-6).astype(int)
+    parts = np.ceil(np.diff(ends) / table.spacing * least - 1e-6).astype(int)
     return np.concatenate([np.linspace(a, b, n, endpoint=False) for a, b, n in zip(
         ends[:-1], ends[1:], parts, strict=True)] + [ends[-1:]])
 

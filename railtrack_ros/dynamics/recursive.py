@@ -50,6 +50,8 @@ Array = NDArray[np.float64]
 MAXIMUM_FREQUENCY = 6000.0
 """Poles up to here [Hz] are kept one by one unless told otherwise."""
 
+PIECES = 72  # of a bay, at least, in which the compliance at a wheel is of degree six
+
 FORWARD_HOLDS = ('trapezoidal', 'linear')
 
 
@@ -88,7 +90,7 @@ def compliances(modes: TrackModes, time_step: float, hold: str, offsets: Array) 
 
 def _compliances(modes: TrackModes, time_step: float, hold: str, offsets: Array) -> Compliances:
     bay, n = modes.bay, offsets.size
-    inner = np.mod(pieces(modes.table)[None, :-1] - offsets[:, None], bay.spacing).ravel()
+    inner = np.mod(pieces(modes.table, PIECES)[None, :-1] - offsets[:, None], bay.spacing).ravel()
     breaks = np.unique(np.round(np.concatenate([[0.0], inner, [bay.spacing]]), 10))
     # Polynomials through seven points within each interval.
     s = 0.5 - 0.5 * np.cos(np.pi * (np.arange(7) + 0.5) / 7)

@@ -22,6 +22,7 @@ from railtrack_ros.estimation.limits import LimitSet, load_limits
 from railtrack_ros.estimation.rails import Measured, RailSection, fuse
 from railtrack_ros.estimation.section import Judge, Passage, Section
 from railtrack_ros.estimation.settings import EstimatorSettings, IndicatorSettings
+from railtrack_ros.estimation.timeline import SamplePeriod
 from railtrack_ros.estimation.wheels import WheelRoundness
 
 Array = NDArray[np.float64]
@@ -75,23 +76,22 @@ class TrackAnalysis:
         self._pieces: list[tuple[Array, NDArray[np.float32], Array, Array]] = []
         self._kept = 0  # points in the pieces
         self._ahead = 0  # of them before the reach: 0 at the beginning, then a margin
-        self._time_step = math.nan
+        self._period = SamplePeriod()
 
-    def feed(self, t: ArrayLike, position: ArrayLike, irregularity: Mapping[str, ArrayLike]
-             ) -> None:
+    def feed(self, t: ArrayLike, position: ArrayLike, irregularity: Mapping[str, ArrayLike],
+             stamp_ns: int = 0) -> None:
         """Take the next block, as :meth:`SectionIndicators.feed` does."""
         t, position = np.asarray(t, dtype=float), np.asarray(position, dtype=float)
         values = np.full((t.size, len(self.boxes)), np.nan, dtype=np.float32)
         for column, box in enumerate(self.boxes):
             if box.name in irregularity:
                 values[:, column] = irregularity[box.name]
-        if t.size > 1:
-            self._time_step = (t[-1] - t[0]) / (t.size - 1)
+        self._period.take(stamp_ns, t)
         points = self._grid.add(position, values.astype(float))
         if not points.position.size:
             return
         self._pieces.append((points.position, points.values.astype(np.float32), points.spacing,
-                             points.spacing / self._time_step))
+                             points.spacing / self._period.step))
         self._kept += points.position.size
         # The last reach is between one and two of them long.
         if self._kept >= self._ahead + 2 * self._reach + self._margin:

@@ -59,15 +59,15 @@ class ClosedLoop:
     """Tests the model on the wheels of one rail, or of two with wheels side by side.
 
     names (lines * wheels,): axle boxes, line by line; offsets (wheels,) [m]; time_step [s];
-    cut_on_wavelength [m] of the irregularity; before: of an earlier stretch, whose results stand
-    until there are new ones.
+    cut_on_wavelength [m] of the irregularity; before: of an earlier stretch of the same wheels,
+    whose results stand until there are new ones, and whose models serve again.
     """
 
     def __init__(self, modes: TrackModes, vehicle: Vehicle, names: tuple[str, ...],
                  offsets: Array, time_step: float, cut_on_wavelength: float,
                  before: ClosedLoop | None = None) -> None:
         self.names, self.offsets, self.time_step = names, offsets, time_step
-        self._vehicle, self._modes, self._cut_on = vehicle, modes, cut_on_wavelength
+        self._cut_on = cut_on_wavelength
         self._lines = len(names) // offsets.size
         self._bands = [signal.butter(2, band, 'bandpass', fs=1.0 / time_step, output='sos')
                        for band in BANDS.values() if band[1] < 0.4 / time_step]
@@ -81,7 +81,13 @@ class ClosedLoop:
         self._last: Array = np.full((self._lines, 2), np.nan)  # irregularity of the leading wheel
         self._direction = 1.0
         self._due, self._done = self._length, 0
+        # What predicts, one model a line: costly to make, so a stretch leaves them to the next.
         self._models: list[RecursiveForward] = []
+        if before is not None and before.time_step == time_step:
+            self._models = before._models
+        elif offsets.size > 1:
+            self._models = [RecursiveForward(modes, vehicle, offsets, time_step, 0.0, hold='linear')
+                            for _ in range(self._lines)]
         self._testing = False
         self._high_pass: tuple[Array, Array] = np.zeros((2, 6)), np.zeros(0)  # sections, state
         self._filters: Array = np.zeros(0)
@@ -155,16 +161,8 @@ class ClosedLoop:
             elif self._done == self._length:
                 self._end()
 
-    def _forward(self) -> list[RecursiveForward]:
-        """The models that predict, one a line; made when they are needed for the first time."""
-        if not self._models:
-            self._models = [
-                RecursiveForward(self._modes, self._vehicle, self.offsets, self.time_step, 0.0,
-                                 hold='linear') for _ in range(self._lines)]
-        return self._models
-
     def _begin(self, place: float, speed: float) -> None:
-        for model in self._forward():
+        for model in self._models:
             model.restart(place)
         self._testing = True
         high_pass = signal.butter(4, speed / self._cut_on, 'highpass', fs=1.0 / self.time_step,
@@ -180,7 +178,7 @@ class ClosedLoop:
         """Go on with a test: predict, filter, sum up sample after sample."""
         predicted = np.stack([
             forward.run(place, expected[:, n]).axle_box_acceleration
-            for n, forward in enumerate(self._forward())], axis=1)
+            for n, forward in enumerate(self._models)], axis=1)
         sections, memory = self._high_pass
         acceleration, memory = signal.sosfilt(sections, acceleration, axis=0, zi=memory)
         self._high_pass = sections, memory
@@ -209,7 +207,7 @@ class ClosedLoop:
         """A copy of what has to be remembered."""
         kept = {name: copy.deepcopy(value) for name, value in vars(self).items()
                 if name in _STREAM}
-        return kept | {'forward': [model.state() for model in self._forward()]
+        return kept | {'forward': [model.state() for model in self._models]
                        if self._testing else []}
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -217,7 +215,7 @@ class ClosedLoop:
         for name in _STREAM:
             setattr(self, name, copy.deepcopy(state[name]))
         if self._testing:
-            for model, kept in zip(self._forward(), state['forward'], strict=True):
+            for model, kept in zip(self._models, state['forward'], strict=True):
                 model.restore(kept)
 
 

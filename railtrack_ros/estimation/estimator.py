@@ -30,7 +30,7 @@ from railtrack_ros.estimation.closed_loop import ClosedLoop, Residual
 from railtrack_ros.estimation.highpass import ChannelState, filter_block
 from railtrack_ros.estimation.odometer import Odometer, Run
 from railtrack_ros.estimation.settings import EstimatorSettings
-from railtrack_ros.estimation.timeline import Place, SampleClock
+from railtrack_ros.estimation.timeline import SECOND, Place, SampleClock
 from railtrack_ros.estimation.wheel import WheelInverse
 from railtrack_ros.track.bay import Bay, make_bay
 from railtrack_ros.track.description import Track
@@ -285,7 +285,8 @@ class Estimator:
         Returns
         -------
         EstimateBlock or None
-            None for a block that was dropped: without usable times, repeated, or from the past.
+            None for a block that was dropped: without usable times, repeated, or from the past;
+            and for the first 32 single samples of a stream of such blocks.
         """
         t = np.asarray(t, dtype=np.float64)
         place, remark = self._clock.place(stamp_ns, t)
@@ -293,6 +294,9 @@ class Estimator:
             self._notes.append(remark)
         if place is Place.DROPPED:
             self._health.dropped_blocks += 1
+            return None
+        if place is Place.HELD:
+            self._odometer.begin(stamp_ns + round(float(t[0]) * SECOND))
             return None
         step = self._clock.step
         assert step is not None

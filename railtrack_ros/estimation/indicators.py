@@ -23,6 +23,7 @@ from railtrack_ros.estimation.grid import DistanceGrid
 from railtrack_ros.estimation.limits import LimitSet, load_limits
 from railtrack_ros.estimation.section import Judge, Passage, Section, columns
 from railtrack_ros.estimation.settings import EstimatorSettings, IndicatorSettings
+from railtrack_ros.estimation.timeline import SamplePeriod
 from railtrack_ros.estimation.wavelengths import dominant_wavelength
 from railtrack_ros.vehicle.description import AxleBox
 
@@ -105,12 +106,13 @@ class SectionIndicators:
         self._waiting: list[tuple[Array, NDArray[np.float32]]] = []
         self._tail = np.zeros((0, len(self.boxes)), dtype=np.int64)
         self._visits: list[dict[int, _Visit]] = [{} for _ in self.boxes]
-        self._step = math.nan
+        self._period = SamplePeriod()
         self._points = 0
         self._samples = 0
 
     def feed(
-        self, t: ArrayLike, position: ArrayLike, irregularity: Mapping[str, ArrayLike]
+        self, t: ArrayLike, position: ArrayLike, irregularity: Mapping[str, ArrayLike],
+        stamp_ns: int = 0,
     ) -> list[Section]:
         """Take the next block and return the sections that it finishes.
 
@@ -123,6 +125,8 @@ class SectionIndicators:
         irregularity
             (n,) [m] by axle box, NaN where not valid; a missing axle box is not valid. Rounded to
             single precision, as it is published and recorded.
+        stamp_ns
+            Time that `t` counts from [ns]; blocks of one sample need it.
         """
         t, position = np.asarray(t, dtype=float), np.asarray(position, dtype=float)
         size = t.size
@@ -130,8 +134,7 @@ class SectionIndicators:
         for row, box in enumerate(self.boxes):
             channels[row] = irregularity.get(box.name, math.nan)
         self._waiting.append((position, channels))
-        if size > 1:
-            self._step = (float(t[-1]) - float(t[0])) / (size - 1)
+        self._period.take(stamp_ns, t)
         self._samples += size
         if self._samples < max(CHUNK // len(self.boxes), LEAST_CHUNK):
             return []
@@ -176,7 +179,7 @@ class SectionIndicators:
                 self._visit(channel, index).signals[band].append(signal[part, channel])
 
     def _book_points(self, places: NDArray[np.int64], values: Array, spacing: Array) -> None:
-        speed = spacing / self._step
+        speed = spacing / self._period.step
         for channel in range(len(self.boxes)):
             for index, part in _stretches(places[:, channel]):
                 visit = self._visit(channel, index)

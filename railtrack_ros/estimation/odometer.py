@@ -261,6 +261,11 @@ class Odometer:
         distance = float(np.sum(0.5 * (speeds[1:] + speeds[:-1]) * np.diff(times)))
         return distance if to_ns >= from_ns else -distance
 
+    def begin(self, stamp_ns: int) -> None:
+        """Count the start position from a time [ns], if nothing has come before."""
+        if self._anchor_ns is None:
+            self._anchor_ns = stamp_ns
+
     # Corrections
 
     def _remember(self, start_ns: int, end_ns: int, distance: Array) -> None:

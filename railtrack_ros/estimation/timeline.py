@@ -23,6 +23,13 @@ FOLLOW = 0.1
 # Sample periods within this share of one another are of the same rate.
 SAME_RATE = 1e-3
 
+# The period of a stream of single samples is the mean over so many: their stamps are rounded to
+# nanoseconds and jitter.
+SINGLES = 32
+
+# Stamps of single samples further apart [s] than this have a gap between them.
+LARGEST_SINGLE = 0.02
+
 # A sample lies off the uniform grid of its block by at most this share of the sample period.
 UNIFORMITY = 0.5
 
@@ -34,6 +41,7 @@ class Place(Enum):
     STARTED = 'begins a stretch after a gap, or the stream itself'
     REWOUND = 'begins the stream anew: the clock was set back'
     DROPPED = 'cannot be used'
+    HELD = 'is one of the first single samples, which tell the rate'
 
 
 class SampleClock:
@@ -42,7 +50,8 @@ class SampleClock:
     The sample period is that of the first block, rounded to six digits of its rate so that it
     does not depend on the length of that block. A block continues the stream if its stamp is the
     expected one within the tolerance; the expectation follows the stamps, so that a slow drift
-    between the clock of the sensor and that of the stamps does no harm.
+    between the clock of the sensor and that of the stamps does no harm. A stream that begins with
+    blocks of a single sample loses the first 32 to tell the period.
 
     Attributes
     ----------
@@ -60,6 +69,7 @@ class SampleClock:
         self.gap = 0.0
         self.begun_ns = 0
         self._leap: tuple[int, int] | None = None  # start of a block that leapt, and of the next
+        self._singles: list[int] = []  # stamps of the first samples, of a stream of single ones
         self._start_ns: int | None = None
         self._expected_ns = 0
 
@@ -82,6 +92,8 @@ class SampleClock:
         if problem:
             return Place.DROPPED, f'block dropped: {problem}'
         start_ns = stamp_ns + round(float(t[0]) * SECOND)
+        if t.size == 1 and self.step is None and not self._period_of_singles(start_ns):
+            return Place.HELD, ''
         place, remark = self._against_last(start_ns, t)
         if place is Place.DROPPED:
             return place, remark
@@ -104,7 +116,7 @@ class SampleClock:
         if t.ndim != 1 or t.size == 0 or not np.isfinite(t).all():
             return 'expected at least one finite sample time'
         if t.size == 1:
-            return '' if self.step else 'the sample rate cannot be told from a single sample'
+            return ''
         period = (t[-1] - t[0]) / (t.size - 1)
         if not period > 0.0:
             return 'the sample times do not increase'
@@ -112,6 +124,20 @@ class SampleClock:
         if off > UNIFORMITY * period:
             return f'a sample lies {off / period:.2g} sample periods off the uniform grid'
         return ''
+
+    def _period_of_singles(self, start_ns: int) -> bool:
+        """Take the stamp of a single sample; tells whether they give the period now."""
+        if self._singles and start_ns <= self._singles[-1]:
+            self._singles.clear()
+        self._singles.append(start_ns)
+        if len(self._singles) <= SINGLES:
+            return False
+        steps = np.diff(self._singles)
+        self._singles.clear()
+        if steps.max() > 2.0 * np.median(steps) + self.tolerance * SECOND:
+            return False  # a gap: try anew
+        self.step = _rounded(float(steps.mean()) / SECOND)
+        return True
 
     def _against_last(self, start_ns: int, t: Array) -> tuple[Place, str]:
         if self._start_ns is None or self.step is None:
@@ -139,6 +165,33 @@ class SampleClock:
             return Place.STARTED, f'blocks overlap by {-self.gap * 1e3:.3g} ms: start anew'
         lost = math.floor(self.gap / self.step + 0.5)
         return Place.STARTED, f'gap of {self.gap:.4g} s ({lost} samples): start anew'
+
+
+class SamplePeriod:
+    """Sample period [s] of a stream of blocks: within a block, else from stamp to stamp.
+
+    `step` is NaN before it is known.
+    """
+
+    def __init__(self) -> None:
+        self.step = math.nan
+        self._first_ns, self._last_ns, self._count = 0, 0, 0
+
+    def take(self, stamp_ns: int, t: Array) -> None:
+        """Take the times t (n,) [s] after a stamp [ns] of the next block."""
+        if t.size > 1:
+            self.step = (float(t[-1]) - float(t[0])) / (t.size - 1)
+        if t.size != 1:
+            self._count = 0
+            return
+        now_ns = stamp_ns + round(float(t[0]) * SECOND)
+        # From the first single sample to this one, unless a gap lies between.
+        if self._count and 0 < now_ns - self._last_ns <= LARGEST_SINGLE * SECOND:
+            self.step = (now_ns - self._first_ns) / (self._count * SECOND)
+        else:
+            self._first_ns, self._count = now_ns, 0
+        self._last_ns = now_ns
+        self._count += 1
 
 
 def _rounded(period: float) -> float:

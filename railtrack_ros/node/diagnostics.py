@@ -15,6 +15,9 @@ from railtrack_ros.vehicle.description import Vehicle
 
 OK, WARN, ERROR = range(3)
 
+# So many messages in a period are too few to tell their rate by counting.
+FEW = 2
+
 # A mean acceleration this near to that of gravity [m/s2] tells how the sensor stands.
 NEAR_GRAVITY = 2.0
 
@@ -44,6 +47,10 @@ class Picture:
         Whether the sensors are said to report gravity.
     speed_change
         Largest since the picture before, m/s2.
+    speed_interval
+        Between the last two speed messages, s.
+    speed_overdue
+        Whether no speed message has come for longer than the estimator does without.
     fixes, gnss_speed, gnss_difference
         GNSS fixes so far, the speed [m/s] from the last ones, and the share by which it differs.
     residuals
@@ -67,6 +74,8 @@ class Picture:
     reversed: Mapping[str, float] = field(default_factory=dict)
     includes_gravity: bool = False
     speed_change: float = 0.0
+    speed_interval: float = math.nan
+    speed_overdue: bool = False
     fixes: int = 0
     gnss_speed: float = math.nan
     gnss_difference: float = math.nan
@@ -222,6 +231,9 @@ def _clock(change: Change, limits: Limits) -> Finding:
 def _speed(change: Change, limits: Limits) -> Finding:
     now, topic, period = change.now, change.now.speed_topic, change.period
     health, messages = now.health, change.of('speed_messages')
+    rate = messages / period
+    if messages <= FEW:
+        rate = 1.0 / now.speed_interval if now.speed_interval > 0.0 else math.inf
     refused = change.refused(topic) + change.of('refused_speeds')
     values = {
         'messages_per_second': f'{messages / period:.1f}',
@@ -241,12 +253,12 @@ def _speed(change: Change, limits: Limits) -> Finding:
     if not messages and not now.publishers.get(topic, 0):
         remarks.append((ERROR, f'nobody publishes on {topic}: nothing is estimated without the '
                                'speed; start the odometer, or remap the topic to its name'))
-    elif health.speed_state == 'silent' or not messages:
+    elif _speed_lost(change):
         remarks.append((ERROR, f'no speed on {topic}: nothing is estimated until it is back; '
                                'check the odometer'))
-    elif messages / period < limits.speed_rate_limit:
-        remarks.append((WARN, f'{messages / period:.2g} speed messages a second: the position '
-                              'between them is guessed; publish the speed more often'))
+    elif rate < limits.speed_rate_limit:
+        remarks.append((WARN, f'{rate:.2g} speed messages a second: the position between '
+                              'them is guessed; publish the speed more often'))
     if change.of('late_speeds'):
         remarks.append((WARN, f'{change.of("late_speeds")} speed messages came too late to be '
                               'used: raise speed_delay, or publish the speed sooner'))
@@ -260,6 +272,18 @@ def _speed(change: Change, limits: Limits) -> Finding:
             f'fixes, {now.gnss_speed:.4g} m/s: check slip, and the wheel diameter set there')))
     well = f'{_number(health.speed, 2)} m/s at {_number(health.position, 1)} m'
     return 'speed', well, remarks, values
+
+
+def _speed_lost(change: Change) -> bool:
+    """Tell whether the estimator has to do without a speed.
+
+    As long as there are blocks it knows from the stamps; messages may be further apart than two
+    reports. Without blocks it cannot know.
+    """
+    health = change.now.health
+    unknowing = health.speed_state == 'none' or not change.of('blocks')
+    return (not health.speed_messages or health.speed_state == 'silent'
+            or (unknowing and change.now.speed_overdue))
 
 
 def _latency(change: Change, limits: Limits) -> Finding:

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
-import sys
+if __name__ == '__main__':  # before the long imports: a signal may come at any time
+    import sys
+
+    from railtrack_ros.node.start import start
+
+    sys.exit(start('recorder'))
+
 import time
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping
@@ -168,7 +174,3 @@ class RecorderNode(Node):
 def main() -> int:
     """Run the node."""
     return run(RecorderNode, RecorderNode.record)
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -7,10 +7,16 @@ both by itself.
 
 from __future__ import annotations
 
+if __name__ == '__main__':  # before the long imports: a signal may come at any time
+    import sys
+
+    from railtrack_ros.node.start import start
+
+    sys.exit(start('track_estimator'))
+
 import copy
 import gc
 import os
-import sys
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -399,6 +405,8 @@ class TrackEstimator(LifecycleNode):
             reversed=self._polarity.reversed(self._limits.polarity_limit),
             includes_gravity=self._estimator.settings.input_includes_gravity,
             speed_change=self._speed_watch.take(),
+            speed_interval=self._speed_watch.interval,
+            speed_overdue=self._speed_watch.silence > self._estimator.settings.speed_timeout,
             fixes=self._locations.fixes,
             gnss_speed=self._locations.speed,
             gnss_difference=self._locations.difference,
@@ -475,7 +483,3 @@ def make_node() -> TrackEstimator:
 def main() -> int:
     """Run the node."""
     return run(make_node)
-
-
-if __name__ == '__main__':
-    sys.exit(main())

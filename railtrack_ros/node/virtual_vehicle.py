@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+if __name__ == '__main__':  # before the long imports: a signal may come at any time
+    import sys
+
+    from railtrack_ros.node.start import start
+
+    sys.exit(start('virtual_vehicle'))
+
 import itertools
-import sys
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from functools import partial
@@ -192,7 +198,3 @@ def _input_relative(topic: str) -> str:
 def main() -> int:
     """Run the node."""
     return run(VirtualVehicle, VirtualVehicle.drive)
-
-
-if __name__ == '__main__':
-    sys.exit(main())

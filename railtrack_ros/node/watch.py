@@ -1,12 +1,13 @@
-"""An eye on the blocks of acceleration: their stamps, and what the sensors look like.
+"""An eye on the messages: stamps of the blocks, what the sensors look like, how the speed comes.
 
 Plain arrays and times; nothing here changes a result.
 """
 
 from __future__ import annotations
 
+import time
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -151,20 +152,37 @@ class BlockWatch:
 
 
 class SpeedWatch:
-    """Watches how fast the measured speed changes."""
+    """Watches how fast the measured speed changes, and whether it comes at all.
+
+    Parameters
+    ----------
+    now
+        Monotonic time, s.
+
+    Attributes
+    ----------
+    interval
+        Time between the stamps of the last two messages [s], NaN before the second.
+    """
 
     # Time over which a change is told [s]: long enough for the resolution of an odometer.
     WINDOW = 0.5
 
-    def __init__(self) -> None:
+    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
         self._recent: deque[tuple[int, float]] = deque(maxlen=1000)
         self._largest = 0.0
+        self._now = now
+        self._came = now()
+        self.interval = float('nan')
 
     def add(self, stamp_ns: int, speed: float) -> None:
         """Take a speed message [ns], [m/s]."""
+        self._came = self._now()
         recent = self._recent
         if recent and stamp_ns <= recent[-1][0]:
             recent.clear()
+        elif recent:
+            self.interval = (stamp_ns - recent[-1][0]) / SECOND
         recent.append((stamp_ns, speed))
         while len(recent) > 2 and stamp_ns - recent[1][0] >= self.WINDOW * SECOND:
             recent.popleft()
@@ -172,6 +190,11 @@ class SpeedWatch:
         if self.WINDOW <= seconds < 4.0 * self.WINDOW:
             change = (speed - recent[0][1]) / seconds
             self._largest = max(self._largest, change, -change)
+
+    @property
+    def silence(self) -> float:
+        """Time [s] since a message last came; before the first one: since the beginning."""
+        return self._now() - self._came
 
     def take(self) -> float:
         """Return the largest change [m/s2] since the last call."""

@@ -15,6 +15,7 @@ from railtrack_ros.estimation import roughness
 from railtrack_ros.estimation.analysis import Analysis
 from railtrack_ros.estimation.bands import band_title
 from railtrack_ros.estimation.rails import RailSection, Stretch, describe, length_of
+from railtrack_ros.output import metres
 from railtrack_ros.report.content import Card, Report, Table, Tile
 from railtrack_ros.report.corrugation import CorrugationData, RailData, card
 from railtrack_ros.report.corrugation_sheet import draw_sheet
@@ -82,7 +83,7 @@ def write_report_of(path: str | Path, recording: str, found: Indicated, setting:
     if stretches:
         worst = stretches[0]
         tiles.append(Tile('worst', f'{worst.ratio:.1f} × limit',
-                          f'{worst.rail} rail, {worst.start:g} to {worst.end:g} m'))
+                          f'{worst.rail} rail, {metres(worst.start)} to {metres(worst.end)} m'))
     report = Report(
         title='Corrugation', subtitle=Path(recording).name, findings=findings, tiles=tiles,
         cards=[card(data), Card('What to do', tables=[

@@ -12,12 +12,12 @@ from railtrack_ros.bags.reader import read_run
 from railtrack_ros.bags.writer import Recording
 from railtrack_ros.errors import InputError
 from railtrack_ros.estimation.settings import EstimatorSettings, IndicatorSettings
-from railtrack_ros.runs.estimate_pipeline import MOST_DEFECTS, NODE, Case, Pipeline, conclude
+from railtrack_ros.runs.estimate_pipeline import NODE, Case, Pipeline, conclude
 from railtrack_ros.runs.estimated import Estimated
 from railtrack_ros.track.description import Track
 from railtrack_ros.vehicle.description import Vehicle
 
-__all__ = ['MOST_DEFECTS', 'NODE', 'Estimated', 'estimate']
+__all__ = ['NODE', 'Estimated', 'estimate']
 
 
 def estimate(

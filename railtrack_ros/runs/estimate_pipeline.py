@@ -23,6 +23,7 @@ from railtrack_ros.estimation.settings import EstimatorSettings, IndicatorSettin
 from railtrack_ros.estimation.timeline import SampleClock
 from railtrack_ros.runs import configuration
 from railtrack_ros.runs.estimated import Estimated
+from railtrack_ros.runs.remarks import Remarks, told
 from railtrack_ros.runs.results import (
     CONFIGURATION,
     FinishedSections,
@@ -34,9 +35,6 @@ from railtrack_ros.vehicle.description import Vehicle
 
 NODE = '/track_estimator'
 DIAGNOSTICS_TOPIC = '/diagnostics'
-
-# Defects that are told one by one.
-MOST_DEFECTS = 12
 
 
 @dataclass(frozen=True)
@@ -102,7 +100,7 @@ class PartFound:
     found: Estimated
     health: Health = field(default_factory=Health)
     channels: set[str] = field(default_factory=set)
-    defects: list[str] = field(default_factory=list)
+    remarks: Remarks = field(default_factory=Remarks)
     sections: list[tuple[int, FinishedSections]] = field(default_factory=list)
     last_log_time: int = 0
 
@@ -111,7 +109,7 @@ class PartFound:
         self.found.join(later.found)
         self.health = sum_of(self.health, later.health)
         self.channels |= later.channels
-        self.defects += later.defects
+        self.remarks.join(later.remarks)
         self.last_log_time = later.last_log_time
 
 
@@ -168,7 +166,7 @@ class Pipeline:
             elif isinstance(event, PositionSample):
                 self._estimator.set_position(event.stamp_ns, event.position)
             elif isinstance(event, Defect) and self._warm:
-                self.result.defects.append(event.reason)
+                self.result.remarks.defects.append(event.reason)
             yield message.log_time
         for block in waiting:
             self._block(block)
@@ -189,7 +187,8 @@ class Pipeline:
         if self._warm:
             result.channels.update(block.channels)
             seconds = (result.last_log_time - self._run.bag.start_time) / 1e9
-            result.defects += [f'at {seconds:.3f} s: {n}' for n in self._estimator.take_notes()]
+            for note in self._estimator.take_notes():
+                result.remarks.note(note, f'at {seconds:.3f} s: ')
         if estimate is None:
             return
         messages = list(self._results.waveforms(estimate, block.frame_id or FRAME))
@@ -252,12 +251,8 @@ def conclude(result: PartFound, run: Run, recording: Recording, vehicle: Vehicle
     found.sample_rate = result.health.sample_rate
     found.extra_channels = tuple(sorted(result.channels - set(found.boxes)))
     _refuse_nothing(result, run, vehicle)
-    defects = [*run.bag.notes, *result.defects]
-    if len(defects) > MOST_DEFECTS:
-        more = len(defects) - MOST_DEFECTS
-        defects = [*defects[:MOST_DEFECTS], f'and {more} more remarks on the input']
-    path = run.bag.path
-    found.defects = [d if d.startswith(str(path)) else f'{path}: {d}' for d in defects]
+    found.defects = told([*run.bag.notes, *result.remarks.defects], run.bag.path)
+    found.remarks = told(result.remarks.remarks, run.bag.path)
     time = result.last_log_time
     statuses = _statuses(result, vehicle)
     recording.write(DIAGNOSTICS_TOPIC, encode_diagnostics(time, statuses, OFFLINE), time)
@@ -269,7 +264,8 @@ def _refuse_nothing(result: PartFound, run: Run, vehicle: Vehicle) -> None:
     path, found, settings = run.bag.path, result.found, result.found.settings
     boxes = [box.name for box in vehicle.axle_boxes]
     topic = run.acceleration_topic
-    because = f' ({result.defects[0]})' if result.defects else ''
+    remarks = result.remarks.all()
+    because = f' ({remarks[0]})' if remarks else ''
     if not result.channels:
         raise InputError(f'{path}: {topic} holds no block that can be read{because}')
     if not result.channels.intersection(boxes):
@@ -277,6 +273,9 @@ def _refuse_nothing(result: PartFound, run: Run, vehicle: Vehicle) -> None:
             f'{path}: {topic} has the channels {", ".join(sorted(result.channels))}, none of '
             f'the axle boxes of vehicle {vehicle.name}: {", ".join(boxes)}'
         )
+    if not result.health.blocks:
+        because = because or ' (fewer than 33 samples, one a block, do not tell the sample rate)'
+        raise InputError(f'{path}: no block of {topic} could be used{because}')
     if not found.duration:
         raise InputError(
             f'{path}: {run.speed_topic} gives no speed at the time of the acceleration{because}'
@@ -304,20 +303,33 @@ def _statuses(result: PartFound, vehicle: Vehicle) -> list[Status]:
         for name, value in vars(health).items()
         if isinstance(value, (int, float, str))
     }
-    count = len(result.defects)
-    remark = f'{count} remarks, first: {result.defects[0]}' if count else 'no defects'
+    remarks = result.remarks.all()
+    count = len(remarks)
+    remark = f'{count} remarks, first: {remarks[0]}' if count else 'no defects'
     statuses = [Status(int(count > 0), f'{node}: recording', remark, '', values)]
-    for name, box in result.found.boxes.items():
-        share = box.valid / max(box.samples, 1)
+    dead = _dead(health)
+    for axle_box in vehicle.axle_boxes:
+        name = axle_box.name
+        box = result.found.boxes[name]
         bad = health.bad_samples[name]
+        message = f'{100.0 * box.valid / max(box.samples, 1):.1f} % of the samples are valid'
+        others = [other.name for other in vehicle.on_rail(axle_box.rail)
+                  if other.name in dead and other.name != name]
+        if others:
+            message += (f'; {", ".join(others)} on the same rail is dead, all the time or at '
+                        'times: its part of the rail deflection is the static one only then')
+        level = 2 if not box.valid else int(bad > 0 or bool(others))
         statuses.append(
             Status(
-                2 if not box.valid else int(bad > 0),
-                f'{node}: axle box {name}',
-                f'{100.0 * share:.1f} % of the samples are valid',
-                vehicle.name,
+                level, f'{node}: axle box {name}', message, vehicle.name,
                 {'valid_samples': str(box.valid), 'bad_samples': str(bad),
                  'blocks_without_channel': str(health.missing_blocks[name])},
             )  # fmt: skip
         )
     return statuses
+
+
+def _dead(health: Health) -> set[str]:
+    """Return the axle boxes that missed at least as many samples as a block has."""
+    block = health.samples / max(health.blocks, 1)
+    return {name for name, bad in health.bad_samples.items() if bad >= max(block, 1.0)}

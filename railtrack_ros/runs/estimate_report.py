@@ -72,10 +72,10 @@ def estimate_report(name: str, found: Estimated, track: Track, vehicle: Vehicle,
 
 
 def _defects(found: Estimated) -> list[str]:
-    if not found.defects:
-        return ['The recording has no defects.']
-    return [f'The recording has defects: {"; ".join(found.defects[:4])}'
-            + (' and more.' if len(found.defects) > 4 else '.')]
+    kinds = (('The recording has defects', found.defects), ('In the recording', found.remarks))
+    lines = [f'{title}: {"; ".join(told[:4])}' + (' and more.' if len(told) > 4 else '.')
+             for title, told in kinds if told]
+    return lines if found.defects else ['The recording has no defects.', *lines]
 
 
 def _boxes(found: Estimated) -> Table:

@@ -58,6 +58,8 @@ class Estimated:
         Channels that are no axle box.
     defects
         What was wrong with the input, a line each.
+    remarks
+        What happened that belongs to normal operation, such as gaps, a line each.
     """
 
     settings: EstimatorSettings
@@ -72,6 +74,7 @@ class Estimated:
     sections: list[Section] = field(default_factory=list)
     extra_channels: tuple[str, ...] = ()
     defects: list[str] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
 
     def add(self, block: EstimateBlock, step: float) -> None:
         """Take a block."""
@@ -130,6 +133,7 @@ class Estimated:
             'worst_section': self.worst.row() if self.worst else None,
             'extra_channels': list(self.extra_channels),
             'defects': self.defects,
+            'remarks': self.remarks,
         }
 
     def lines(self) -> list[str]:

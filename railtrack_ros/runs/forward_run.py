@@ -259,6 +259,18 @@ class ForwardRun:
                                 settings.start + low, settings.start + high)
 
     @property
+    def remark(self) -> str:
+        """What limits the accuracy of the run; empty if nothing does."""
+        from railtrack_ros.dynamics.irf import LEFT, IrfForward
+
+        solver = next(iter(self._solvers.values()))
+        if not (isinstance(solver, IrfForward) and solver.left > LEFT):
+            return ''
+        return (f'memory of {solver.memory * solver.time_step:.3g} s: {100.0 * solver.left:.2g} % '
+                'of a deflection is left when the impulse responses end, the track is damped so '
+                'little: a longer --memory takes it in, or --solver newmark or recursive')
+
+    @property
     def iterations_per_step(self) -> float:
         """Mean iterations of the contacts in a time step on one rail."""
         return self._per_step('iterations')

@@ -113,9 +113,10 @@ def indicators(
             names.update(block.channels)
             places.add_position(block.stamp_ns, float(block.position[0]))
             if filters == 'causal':
-                sections += stream.feed(block.t, block.position, block.channels)
+                sections += stream.feed(
+                    block.t, block.position, block.channels, block.stamp_ns)
             if analysis is not None:
-                analysis.feed(block.t, block.position, block.channels)
+                analysis.feed(block.t, block.position, block.channels, block.stamp_ns)
             progress(seconds, total)
         sections += stream.finish()
         found = analysis.finish() if analysis is not None else None

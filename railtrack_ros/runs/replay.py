@@ -32,7 +32,7 @@ from railtrack_ros.report.page import write_report
 from railtrack_ros.runs import comparison
 from railtrack_ros.runs.configuration import write_configuration
 from railtrack_ros.runs.driven import LONGEST_STEP
-from railtrack_ros.runs.estimate import MOST_DEFECTS
+from railtrack_ros.runs.remarks import Remarks, told
 from railtrack_ros.runs.replay_files import ReplayFiles, complete_folder, write_errors
 from railtrack_ros.runs.replay_input import Stretch, StretchCutter
 from railtrack_ros.runs.replay_model import SECTION, Extent, Replayed, Samples, replay
@@ -78,17 +78,19 @@ class EstimatedRun:
     sections: list[Section] = field(default_factory=list)
     latency: Latency | None = None
     blocks: int = 0
-    notes: list[str] = field(default_factory=list)
+    defects: list[str] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
 class ReplayResult:
-    """What a replay gave: the comparison, its report, a summary and remarks on the input."""
+    """What a replay gave: the comparison, its report, a summary, and what to say on the input."""
 
     replayed: Replayed
     report: Report
     summary: dict[str, Any]
-    notes: list[str]
+    defects: list[str]
+    remarks: list[str]
 
 
 def replay_recording(
@@ -163,7 +165,8 @@ def replay_recording(
                                windows.spectra.mean())
         write_errors(place / 'errors.csv', found.errors)
         write_report(place / 'report.html', report)
-    return ReplayResult(found, report, _summary(path, output, run, found), run.notes)
+    return ReplayResult(found, report, _summary(path, output, run, found), run.defects,
+                        run.remarks)
 
 
 class _Windows:
@@ -238,7 +241,7 @@ def estimate_run(path: Paths, track: Track, vehicle: Vehicle, settings: Estimato
                            lambda samples, part: take(samples, part, settings))
         arrivals = _Arrivals()
         found = EstimatedRun(settings)
-        remarks = [*run.bag.notes]
+        remarks = Remarks()
         channels: set[str] = set()
 
         def estimate(event: AccelerationBlock) -> None:
@@ -248,7 +251,8 @@ def estimate_run(path: Paths, track: Track, vehicle: Vehicle, settings: Estimato
             if result is not None:
                 found.blocks += 1
                 cutting.add(block, result, event.message.log_time)
-                found.sections += indicators.feed(result.t, result.position, result.irregularity)
+                found.sections += indicators.feed(
+                    result.t, result.position, result.irregularity, result.stamp_ns)
 
         # As everywhere, a block is estimated when all messages of its log time are there.
         waiting: deque[AccelerationBlock] = deque()
@@ -266,11 +270,13 @@ def estimate_run(path: Paths, track: Track, vehicle: Vehicle, settings: Estimato
             elif isinstance(event, OtherMessage):
                 arrivals.other(event.message)
             elif isinstance(event, Defect):
-                remarks.append(event.reason)
-            remarks += estimator.take_notes()
+                remarks.defects.append(event.reason)
+            for note in estimator.take_notes():
+                remarks.note(note)
         for last in waiting:
             estimate(last)
-        remarks += estimator.take_notes()
+        for note in estimator.take_notes():
+            remarks.note(note)
         names = [box.name for box in vehicle.axle_boxes]
         if channels and not channels.intersection(names):
             raise InputError(
@@ -278,12 +284,11 @@ def estimate_run(path: Paths, track: Track, vehicle: Vehicle, settings: Estimato
                 f'{", ".join(sorted(channels))}, none of the axle boxes of vehicle '
                 f'{vehicle.name}: {", ".join(names)}')
         found.sections += indicators.finish()
-        remarks += cutting.finish()
+        left_out = cutting.finish()
+        notes = run.bag.notes
     found.latency = arrivals.latency()
-    if len(remarks) > MOST_DEFECTS:
-        more = len(remarks) - MOST_DEFECTS
-        remarks = [*remarks[:MOST_DEFECTS], f'and {more} more remarks on the input']
-    found.notes = [f'{paths[0]}: {remark}' for remark in remarks]
+    found.defects = told([*notes, *remarks.defects, *left_out], paths[0])
+    found.remarks = told(remarks.remarks, paths[0])
     return found
 
 
@@ -394,6 +399,8 @@ def _summary(path: Paths, output: str | Path, run: EstimatedRun, found: Replayed
     return {
         'recording': str(paths_of(path)[0]),
         'output': str(output),
+        'defects': run.defects,
+        'remarks': run.remarks,
         'from_m': begin,
         'to_m': end,
         'duration_s': found.extent.duration,

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from railtrack_ros import __version__
 from railtrack_ros.estimation.settings import EstimatorSettings
+from railtrack_ros.output import metres
 from railtrack_ros.report import sections, style
 from railtrack_ros.report.content import (
     BandError,
@@ -312,7 +313,7 @@ def parameters(track: Track, mesh: Mesh, vehicle: Vehicle, settings: EstimatorSe
         'software': {'version': f'railtrack_ros {__version__}'},
         **described_track(track, vehicle),
         'estimator': {
-            'start position': f'{settings.start_position:g} m',
+            'start position': f'{metres(settings.start_position)} m',
             'high-pass of the irregularity': f'{settings.cut_on_wavelength:g} m',
             'track modes up to': f'{settings.maximum_frequency:g} Hz',
             'mesh': f'{settings.elements_per_bay} elements a bay, {settings.local_system} local '

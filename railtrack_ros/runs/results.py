@@ -19,6 +19,7 @@ from railtrack_ros.bags.message_types import MessageTypes
 from railtrack_ros.estimation.estimator import EstimateBlock
 from railtrack_ros.estimation.indicators import Section, SectionIndicators, band_name
 from railtrack_ros.estimation.settings import EstimatorSettings, IndicatorSettings
+from railtrack_ros.output import metres
 from railtrack_ros.vehicle.description import Vehicle
 
 WAVEFORMS = ('contact_force', 'rail_deflection', 'irregularity')
@@ -97,7 +98,7 @@ class ResultMessages:
     def feed(self, estimate: EstimateBlock) -> None:
         """Take a block, whose waveforms are told, into the sections."""
         self.sections = self._indicators.feed(
-            estimate.t, estimate.position, estimate.irregularity
+            estimate.t, estimate.position, estimate.irregularity, estimate.stamp_ns
         )
 
     def finish(self) -> Messages:
@@ -178,10 +179,11 @@ def forces_are_due(told_ns: int, end_ns: int) -> bool:
 
 def describe(section: Section) -> str:
     """Return what a section shows, in a few words."""
-    text = f'{section.start:g} to {section.end:g} m: no wavelength stands out'
+    where = f'{metres(section.start)} to {metres(section.end)} m'
+    text = f'{where}: no wavelength stands out'
     if np.isfinite(section.dominant_wavelength):
         text = (
-            f'{section.start:g} to {section.end:g} m: {1e3 * section.dominant_wavelength:.0f} mm '
-            f'stands out, {1e6 * section.dominant_rms:.1f} um RMS'
+            f'{where}: {1e3 * section.dominant_wavelength:.0f} mm stands out, '
+            f'{1e6 * section.dominant_rms:.1f} um RMS'
         )
     return f'{text}; {section.reason}' if section.reason else text
