@@ -8,10 +8,11 @@ import pytest
 
 from railtrack_ros.dynamics.forward import StepFailure
 from railtrack_ros.dynamics.irf import IrfForward
-from railtrack_ros.dynamics.newmark import FullModel, assemble
+from railtrack_ros.dynamics.newmark import FullModel
 from railtrack_ros.dynamics.recursive import RecursiveForward
 from railtrack_ros.errors import InputError
 from railtrack_ros.estimation.estimator import Estimator
+from railtrack_ros.figures.evidence_time import energy_defect
 from railtrack_ros.irregularity import profile
 from railtrack_ros.track.bay import Mesh, make_bay
 from railtrack_ros.track.description import (
@@ -48,46 +49,6 @@ def rough(position, factor=1.0, seed=5):
 
 
 # --- energy -----------------------------------------------------------------------------------
-
-def energy_defect(step):
-    """What the balance of a wheel driven through part of an element lacks in the end [J]."""
-    bay = make_bay(TABLE_3_1, Mesh(6))
-    duration, way, begin = 4e-3, 0.09, 0.09
-    t = step * np.arange(round(duration / step) + 1)
-    position = begin + 0.5 * way * (1.0 - np.cos(np.pi * t / duration))
-    speed = 0.5 * way * np.pi / duration * np.sin(np.pi * t / duration)
-    wave, amplitude = 0.12, 30e-6
-    irregularity = amplitude * np.sin(2.0 * np.pi * (position - begin) / wave)
-    incline = amplitude * 2.0 * np.pi / wave * np.cos(2.0 * np.pi * (position - begin) / wave)
-    model = FullModel(bay, WHEEL, (0.0,), step, begin, margin=20)
-    mass, damping, stiffness = (assemble(x, model.bays)
-                                for x in (bay.mass, bay.damping, bay.stiffness))
-    contact, wheel = WHEEL.contact, WHEEL.wheel
-    energy, power, wheel_speed, before = np.zeros(t.size), np.zeros(t.size), 0.0, 0.0
-    for i in range(t.size):
-        result = model.run(position[i:i + 1], irregularity[i:i + 1, None])
-        force, w = result.contact_force[0, 0], result.wheel_displacement[0, 0]
-        acceleration = result.axle_box_acceleration[0, 0]
-        if i:
-            wheel_speed += 0.5 * step * (acceleration + before)
-        before = acceleration
-        u, v, _ = model.track_state()
-        number, inside = bay.locate(position[i])
-        places = (number[0] - model.first_bay) * bay.dofs + np.arange(bay.dofs + 2)
-        h = 1e-6
-        slope = ((bay.shape(inside + h) - bay.shape(inside - h))[0] / (2.0 * h)) @ u[places]
-        local = bay.flexibility(inside)[0]
-        local_slope = (bay.flexibility(inside + h) - bay.flexibility(inside - h))[0] / (2.0 * h)
-        indentation = (force / contact.stiffness) ** (1.0 / contact.exponent)
-        energy[i] = (0.5 * (v @ (mass @ v) + u @ (stiffness @ u))
-                     + 0.5 * wheel.mass * wheel_speed**2 + wheel.static_load * w
-                     + force * indentation / (1.0 + contact.exponent) + 0.5 * local * force**2)
-        # Propulsion pushes the force up the incline of rail and irregularity; damping takes.
-        power[i] = (speed[i] * (force * (slope + incline[i]) - 0.5 * local_slope * force**2)
-                    - v @ (damping @ v))
-    work = step * (power.sum() - 0.5 * (power[0] + power[-1]))
-    return energy[-1] - energy[0] - work, np.abs(np.diff(energy)).sum()
-
 
 def test_physical_energy_balance_converges_with_the_square_of_the_step():
     steps = 40e-6 / 2.0 ** np.arange(4)
