@@ -8,7 +8,7 @@ import pytest
 from railtrack_ros.dynamics.irf import LEFT, MEMORY, IrfForward, memory_of
 from railtrack_ros.dynamics.modes import make_track_modes
 from railtrack_ros.dynamics.newmark import FullModel
-from railtrack_ros.dynamics.recursive import RecursiveForward
+from railtrack_ros.dynamics.recursive import MAXIMUM_FREQUENCY, RecursiveForward
 from railtrack_ros.errors import InputError
 from railtrack_ros.track.bay import Mesh, make_bay
 from railtrack_ros.track.description import load_track
@@ -41,19 +41,22 @@ def relative(found, reference):
     return np.std(found - reference) / np.std(reference)
 
 
-@pytest.mark.parametrize(('kind', 'mesh', 'cut_off'), [
-    ('concentrated', Mesh(6), 0.005),
-    ('distributed', Mesh(6), 0.005),
-    ('distributed', Mesh(4, 1, 'dynamic', modes_per_element=3), 0.007),
+@pytest.mark.parametrize(('kind', 'mesh', 'hertz', 'cut_off'), [
+    ('concentrated', Mesh(6), MAXIMUM_FREQUENCY, 0.005),
+    ('concentrated', Mesh(6), 20000.0, 0.001),
+    ('distributed', Mesh(6), MAXIMUM_FREQUENCY, 0.005),
+    ('distributed', Mesh(6), 20000.0, 0.001),
+    ('distributed', Mesh(4, 1, 'dynamic', modes_per_element=3), MAXIMUM_FREQUENCY, 0.007),
 ])
-def test_convolution_and_recursion_repeat_the_full_model(kind, mesh, cut_off):
+def test_convolution_and_recursion_repeat_the_full_model(kind, mesh, hertz, cut_off):
     """Left is the end of the memory for one, the poles above the cut-off for the other."""
     bay = bay_of(kind, mesh, loss=0.02)
     offsets = [0.0, -2.5]
     position, irregularity = rough_run(offsets)
     reference = FullModel(bay, VEHICLE, offsets, STEP, 0.0).run(position, irregularity)
     convolution = IrfForward(bay, VEHICLE, offsets, STEP, 0.0).run(position, irregularity)
-    recursion = RecursiveForward(bay, VEHICLE, offsets, STEP, 0.0).run(position, irregularity)
+    recursion = RecursiveForward(
+        bay, VEHICLE, offsets, STEP, 0.0, maximum_frequency=hertz).run(position, irregularity)
     for found, limit in ((convolution, 0.004), (recursion, cut_off)):
         assert relative(found.contact_force, reference.contact_force) < limit
         deflection = found.rail_deflection - reference.rail_deflection
