@@ -256,7 +256,10 @@ def contact_step(rail_free, compliance, irregularity, wheels, constants, force, 
                 change[i] -= work[i, j] * change[j]
             change[i] /= work[i, i]
             delta[i] += change[i]
-            small = abs(change[i]) <= tolerance * max(abs(delta[i]), scale)
+            # Newton's next change is about the square of this one, which need not be made.
+            loaded = delta[i] > 0.0 and delta[i] > change[i]
+            left = change[i] * change[i] / delta[i] if loaded and not fixed else abs(change[i])
+            small = left <= tolerance * max(abs(delta[i]), scale)
             if not (small and math.isfinite(change[i])):
                 converged = False
 

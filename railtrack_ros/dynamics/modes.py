@@ -14,6 +14,7 @@ have died away before they come round.
 
 Poles above a cut-off are not kept one by one.  What they do below it hardly leaves the place of
 the force: two oscillators stand for all of them, with the right compliance and the right inertia.
+Their frequencies are the two that stand best for those of the poles.
 """
 
 from __future__ import annotations
@@ -33,9 +34,11 @@ from railtrack_ros.track.bay import Bay
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# Natural frequencies of the two oscillators, over the cut-off.
-OSCILLATORS = (1.1, 1.8)
-DAMPING_RATIO = 0.25
+# Damping ratio of the two oscillators: what they stand for is left behind by a moving wheel, the
+# short waves of local systems sooner than others.
+DAMPING_RATIO = {'none': 0.25, 'static': 0.25, 'dynamic': 0.4}
+# Their natural frequencies over the cut-off where no pole lies above it.
+NO_POLES = (1.2, 2.0)
 
 LOWEST_CUT_OFF = 500.0  # Hz
 
@@ -134,15 +137,20 @@ def make_track_modes(bay: Bay, bays: int = 61, maximum_frequency: float = 5000.0
     if not maximum_frequency >= LOWEST_CUT_OFF:
         raise InputError(f'cut-off of the poles: {maximum_frequency:g} Hz is too low, expected at '
                          f'least {LOWEST_CUT_OFF:g} Hz')
+    shape = bay.shape(bay.spacing * (np.arange(240) + 0.5) / 240)
+    mean = shape.T @ shape / len(shape)
+    ratio = DAMPING_RATIO[bay.mesh.local_system]
     digest = cache.key([__file__], bay.stiffness, bay.damping, bay.mass, bay.dofs, bays,
-                       maximum_frequency)
-    arrays = cache.stored('modes', digest, lambda: _compute(bay, bays, maximum_frequency))
+                       maximum_frequency, mean, ratio)
+    arrays = cache.stored(
+        'modes', digest, lambda: _compute(bay, bays, maximum_frequency, mean, ratio))
     return TrackModes(bay=bay, bays=bays, maximum_frequency=maximum_frequency,
                       table=shape_table(bay), **arrays)
 
 
-def _compute(bay: Bay, bays: int, maximum_frequency: float) -> dict[str, NDArray[Any]]:
-    """Arrays of the modes."""
+def _compute(bay: Bay, bays: int, maximum_frequency: float, mean: Array, ratio: float
+             ) -> dict[str, NDArray[Any]]:
+    """Arrays of the modes; mean (nb + 2, nb + 2): N^T N averaged over the bay."""
     n = bay.dofs
     limit = 2.0 * math.pi * maximum_frequency
     solved = [_cell(bay, 2.0 * math.pi * j / bays) for j in range(bays // 2 + 1)]
@@ -152,6 +160,7 @@ def _compute(bay: Bay, bays: int, maximum_frequency: float) -> dict[str, NDArray
     poles, numbers, firsts, seconds = [], [], [], []
     static = np.zeros((bays, n + 2, n + 2))
     moments = np.zeros((4, n + 2, n + 2))  # of the others' receptance: powers of s
+    spectrum = np.zeros(4)  # mean static compliance of the others, times powers of (limit / pole)^2
     for j, (value, response, excitation, compliance) in enumerate(solved):
         alone = j == 0 or 2 * j == bays
         weight = (1.0 if alone else 2.0) / bays
@@ -174,9 +183,12 @@ def _compute(bay: Bay, bays: int, maximum_frequency: float) -> dict[str, NDArray
         for power in range(1, 4):
             moments[power] -= weight * (response[:, kept:] @ (
                 excitation[kept:] / value[kept:, None] ** (power + 1))).real
+        share_of = -((mean @ response[:, kept:]).T * excitation[kept:]).sum(axis=1) / value[kept:]
+        spectrum += weight * share_of.real @ np.abs(limit / value[kept:, None]) ** (
+            2 * np.arange(4))
 
-    omega = limit * np.array(OSCILLATORS)
-    unit = complex(-DAMPING_RATIO, math.sqrt(1.0 - DAMPING_RATIO**2))
+    omega = limit * _two_frequencies(spectrum)
+    unit = complex(-ratio, math.sqrt(1.0 - ratio**2))
     oscillators = np.asarray(omega * unit, dtype=complex)
     return {
         'poles': np.concatenate(poles), 'wave_number': np.concatenate(numbers),
@@ -184,6 +196,20 @@ def _compute(bay: Bay, bays: int, maximum_frequency: float) -> dict[str, NDArray
         'oscillators': oscillators, 'amplitude': _amplitudes(oscillators, moments),
         'remainder': static,
     }
+
+
+def _two_frequencies(spectrum: Array) -> Array:
+    """Frequencies (2,) of two oscillators for many, over the cut-off.
+
+    spectrum (4,): moments of the many's compliance over (cut-off / frequency)^2; those of the two
+    are the same, which makes them a Gaussian quadrature.
+    """
+    s = spectrum
+    if s[0] <= 0.0:
+        return np.array(NO_POLES)
+    linear, constant = np.linalg.solve([[s[1], s[0]], [s[2], s[1]]], [-s[2], -s[3]])
+    nodes = np.sort(np.roots([1.0, linear, constant]).real)[::-1]
+    return np.asarray(1.0 / np.sqrt(np.clip(nodes, 0.01, 1.0)))
 
 
 def _cell(bay: Bay, q: float) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:

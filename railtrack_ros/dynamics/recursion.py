@@ -21,7 +21,8 @@ a wave loses sinc^2(f dt) of it; this gives back all but the fourth power of (om
 of the present sample is taken as it is until its successor is known.
 
 The loops take the modes CHUNK by CHUNK, through a whole batch of samples where the forces are
-known beforehand, so that what a chunk needs stays in the processor's nearest cache.
+known beforehand, so that what a chunk needs stays in the processor's nearest cache.  Shapes are in
+single precision, which moves a rail by less than a tenth of a nanometre; states are in double.
 """
 
 from __future__ import annotations
@@ -33,11 +34,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from railtrack_ros.compiled import njit
-from railtrack_ros.dynamics.interpolation import ShapeTable, first_guess, interval_at, locate
+from railtrack_ros.dynamics.interpolation import ShapeTable, first_guess, interval_at
 from railtrack_ros.dynamics.modes import ComplexArray, TrackModes
 from railtrack_ros.errors import InputError
 
 Array = NDArray[np.float64]
+Single = NDArray[np.float32]
 Indices = NDArray[np.int64]
 
 HOLDS = ('trapezoidal', 'linear', 'corrected')
@@ -74,40 +76,42 @@ def step_of(poles: ComplexArray, time_step: float, hold: str) -> Step:
 class Model(NamedTuple):
     """What the loops know of the track at one time step; nothing of it changes.
 
-    Modes are arranged in rows (..., chunks, modes), all g1 before all g2, filled up with zeros.
+    Modes are arranged in rows (..., chunks, modes): chunk by chunk all g1 before all g2, each
+    filled up with zeros.
     breaks, guess: pieces of a bay, as in `interpolation.ShapeTable`.  first, second re and im
-    (pieces, 4, ...): c in bay 0, cubics in s, and what the turn to another bay adds, cos(q m)
-    first + sin(q m) second; cos, sin (bays, ...).  e re and im (...).
-    Oscillators for the poles that are not kept, two at each of the k degrees of freedom of an
-    element and filled up to l: oe (l,); out (m, 4, l), cubics of interval m of the bay, is their
-    share in the deflection.  nodes: degrees of freedom of a bay.
+    (pieces, 4, chunks, modes / 2): c of g1 and of g2 in bay 0, cubics in s; in bay m they are
+    turned, as in `modes.TrackModes`, by cos, sin (bays, chunks, modes / 2).  e re and im (...).
+    oe (2,): the oscillators that stand for the poles that are not kept; out (finer pieces, 4, 2),
+    cubics: residues where the wheel is, times p0 + e p1.  fine_breaks, fine_guess: those pieces.
     """
 
+    start: float
+    spacing: float
     breaks: Array
     guess: Indices
-    first_re: Array
-    first_im: Array
-    second_re: Array
-    second_im: Array
-    cos: Array
-    sin: Array
+    first_re: Single
+    first_im: Single
+    second_re: Single
+    second_im: Single
+    cos: Single
+    sin: Single
     e_re: Array
     e_im: Array
-    oe_re: Array
-    oe_im: Array
-    out_re: Array
-    out_im: Array
-    nodes: int
+    oe: ComplexArray
+    out: ComplexArray
+    fine_breaks: Array
+    fine_guess: Indices
     corrected: bool
 
 
 class State(NamedTuple):
     """What a run carries from step to step, for `wheels` wheels on each of `lines` rails.
 
-    r (lines, chunks, modes); oscillators o (lines, wheels, l); place of the reference point (1,)
-    [m] and force (lines, wheels, 2) at the last samples, newest first.  All else follows from
-    them: home (wheels, 3), bay, element and piece; source (wheels, 4, chunks, modes), the
-    cubics there; c (wheels, chunks, modes); weight (wheels, k) N(x).
+    r (lines, chunks, modes); oscillators o (lines, wheels, 2, 2), driven by the force and by force
+    times residue; place of the reference point (1,) [m] and force (lines, wheels, 2)
+    at the last samples, newest first.  All else follows from them: home (wheels, 2), bay and
+    piece; source (wheels, 4, chunks, modes), the cubics there; c (wheels, chunks, modes); residue
+    (wheels, 2).
     The rest is scratch, for BATCH samples: the loops do not allocate.  fresh (BATCH, wheels, 2):
     bay and piece that a wheel comes to in a sample, or NOWHERE; local (BATCH, wheels): s;
     last (BATCH, lines, wheels): forces of the last sample as the hold takes them; free (BATCH,
@@ -116,74 +120,71 @@ class State(NamedTuple):
 
     r_re: Array
     r_im: Array
-    o_re: Array
-    o_im: Array
+    o: ComplexArray
     place: Array
     force: Array
     home: Indices
-    source_re: Array
-    source_im: Array
-    c_re: Array
-    c_im: Array
-    spare_re: Array
-    spare_im: Array
-    weight: Array
+    source_re: Single
+    source_im: Single
+    c_re: Single
+    c_im: Single
+    residue: ComplexArray
     fresh: Indices
     local: Array
     last: Array
     free: Array
 
 
-SAVED = ('r_re', 'r_im', 'o_re', 'o_im', 'place', 'force')
+SAVED = ('r_re', 'r_im', 'o', 'place', 'force')
 
 LINE = 64  # bytes in a cache line
 CHUNK = 256  # modes worked off at a time, at most
+LANES = 32  # modes that compiled loops take in one turn; what is left over goes one by one
 BATCH = 128  # samples worked off at a time
 NOWHERE = -2**40  # number of a bay far from any other
 PIECES = 48  # of a bay, at least, in which the shape of a mode is a cubic
+RESIDUE_PIECES = 360  # the same for the residues: squares, of the waves of local systems too
 NODES = np.array([0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0])  # where these pass through it
 
 
 def make_model(modes: TrackModes, time_step: float, hold: str) -> Model:
     """Tables of the loops for a time step [s]; raises InputError for an unknown hold."""
     step = step_of(modes.poles, time_step, hold)
-    count = 2 * modes.poles.size
-    chunks = -(-count // CHUNK)
-    row = chunks, -(-count // (16 * chunks)) * 16
+    chunks = -(-2 * modes.poles.size // CHUNK)
+    half = -(-2 * modes.poles.size // (LANES * chunks)) * LANES // 2
 
-    def arranged(values: NDArray[Any]) -> Array:
-        room = _zeros(*values.shape[:-1], *row)
-        room.reshape(*values.shape[:-1], -1)[..., :count] = values
+    def arranged(values: NDArray[Any], dtype: Any = np.float32) -> NDArray[Any]:
+        room = _zeros(*values.shape[:-1], chunks, half, dtype=dtype)
+        room.reshape(*values.shape[:-1], -1)[..., :values.shape[-1]] = values
         return room
 
-    def parts(values: ComplexArray) -> tuple[Array, Array]:
+    def parts(values: ComplexArray) -> tuple[Single, Single]:
         return arranged(values.real), arranged(values.imag)
 
+    def twice(values: Array) -> Array:
+        both = _zeros(chunks, 2 * half)
+        both[:, :half] = both[:, half:] = arranged(values, np.float64)
+        return both
+
     root = np.sqrt(step.gain)
-    angle = np.tile(np.outer(np.arange(modes.bays), modes.wave_number), 2)
-    o = step_of(modes.oscillators, time_step, hold)
-    dofs, cubics = modes.table.dofs, modes.table.coefficients
-    elements, k = dofs.shape
-    breaks = pieces(modes.table, PIECES)
-    x = breaks[:-1, None] + NODES * np.diff(breaks)[:, None]
+    angle = np.outer(np.arange(modes.bays), modes.wave_number)
+    oscillators = step_of(modes.oscillators, time_step, hold)
     fit = np.linalg.inv(NODES[:, None] ** np.arange(4))
-    shape = fit @ modes.bay.shape(x.ravel()).reshape(*x.shape, -1)
+
+    def shape_in(breaks: Array) -> Array:
+        x = breaks[:-1, None] + NODES * np.diff(breaks)[:, None]
+        return modes.bay.shape(x.ravel()).reshape(*x.shape, -1)
+
+    breaks, fine = pieces(modes.table, PIECES), pieces(modes.table, RESIDUE_PIECES)
+    shape = fit @ shape_in(breaks)
     first, second = shape @ (modes.first * root), shape @ (modes.second * root)
-    out = np.zeros((2, elements, k, -(-2 * k // 8) * 8))
-    pairs = o.gain[:, None, None, None] * modes.amplitude[:, dofs[:, :, None], dofs[:, None, :]]
-    oe = np.zeros((2, out.shape[-1]))
-    for i in range(2):
-        own = slice(i * k, (i + 1) * k)
-        out[0, :, :, own], out[1, :, :, own] = pairs[i].real, pairs[i].imag
-        oe[0, own], oe[1, own] = o.e[i].real, o.e[i].imag
-    shares = np.ascontiguousarray(
-        np.einsum('mjc,rmji->rmci', cubics, out[:, modes.table.element]))
+    shape = shape_in(fine)
+    out = fit @ np.einsum('xni,mij,xnj->xnm', shape, modes.amplitude, shape, optimize=True)
     return Model(
-        breaks, first_guess(breaks, modes.table.spacing), *parts(np.dstack([first, second])),
-        *parts(np.dstack([second, -first])),
-        arranged(np.cos(angle)), arranged(np.sin(angle)), *parts(np.tile(step.e, 2)),
-        oe[0], oe[1], shares[0], shares[1], modes.bay.dofs,
-        hold == 'corrected')
+        modes.table.start, modes.table.spacing, breaks, first_guess(breaks, modes.table.spacing),
+        *parts(first), *parts(second), arranged(np.cos(angle)), arranged(np.sin(angle)),
+        twice(step.e.real), twice(step.e.imag), oscillators.e, out * oscillators.gain,
+        fine, first_guess(fine, modes.table.spacing), hold == 'corrected')
 
 
 def pieces(table: ShapeTable, least: int) -> Array:
@@ -201,20 +202,19 @@ def _zeros(*shape: int, dtype: Any = np.float64) -> NDArray[Any]:
     return room[first:first + math.prod(shape)].reshape(shape)
 
 
-def make_state(model: Model, table: ShapeTable, wheels: int, lines: int = 1) -> State:
+def make_state(model: Model, wheels: int, lines: int = 1) -> State:
     """The rail at rest and unloaded."""
-    row, k, oscillators = model.e_re.shape, table.dofs.shape[1], model.oe_re.size
+    row, single = model.e_re.shape, np.float32
     return State(
         r_re=_zeros(lines, *row), r_im=_zeros(lines, *row),
-        o_re=_zeros(lines, wheels, oscillators), o_im=_zeros(lines, wheels, oscillators),
+        o=np.zeros((lines, wheels, 2, 2), complex), residue=np.zeros((wheels, 2), complex),
         place=np.zeros(1), force=np.zeros((lines, wheels, 2)),
-        home=np.full((wheels, 3), NOWHERE),
-        source_re=_zeros(wheels, 4, *row), source_im=_zeros(wheels, 4, *row),
-        c_re=_zeros(wheels, *row), c_im=_zeros(wheels, *row),
-        spare_re=np.zeros(oscillators), spare_im=np.zeros(oscillators),
-        weight=np.zeros((wheels, k)), fresh=np.full((BATCH, wheels, 2), NOWHERE),
-        local=np.zeros((BATCH, wheels)), last=np.zeros((BATCH, lines, wheels)),
-        free=np.zeros((BATCH, lines, wheels)))
+        home=np.full((wheels, 2), NOWHERE),
+        source_re=_zeros(wheels, 4, *row, dtype=single),
+        source_im=_zeros(wheels, 4, *row, dtype=single),
+        c_re=_zeros(wheels, *row, dtype=single), c_im=_zeros(wheels, *row, dtype=single),
+        fresh=np.full((BATCH, wheels, 2), NOWHERE), local=np.zeros((BATCH, wheels)),
+        last=np.zeros((BATCH, lines, wheels)), free=np.zeros((BATCH, lines, wheels)))
 
 
 def settle(model: Model, state: State, force: Array) -> None:
@@ -223,86 +223,37 @@ def settle(model: Model, state: State, force: Array) -> None:
     drive = np.tensordot(force, state.c_re + 1j * state.c_im, 1)
     still = drive / (1.0 - (model.e_re + 1j * model.e_im))
     state.r_re[:], state.r_im[:] = still.real, still.imag
-    k = state.weight.shape[1]
-    still = np.zeros(state.o_re.shape, dtype=complex)
-    for i in range(2):
-        still[:, :, i * k:(i + 1) * k] = force[:, :, None] * state.weight
-    still /= 1.0 - (model.oe_re + 1j * model.oe_im)
-    state.o_re[:], state.o_im[:] = still.real, still.imag
-
-
-@njit(cache=True, nogil=True, _nrt=False)
-def used(table, element, k):
-    """Whether entry k is a degree of freedom; rows of fewer are filled up with zeros."""
-    return k == 0 or table.dofs[element, k] != 0
-
-
-@njit(cache=True, nogil=True, _nrt=False)
-def enter(table, state, wheel, bay, element, nodes):
-    """Come to another element: its oscillators go on at the nodes that it shares with the last.
-
-    The others are at rest.  nodes: degrees of freedom of a bay.
-    """
-    before, width = state.home[wheel, 1], table.dofs.shape[1]
-    ahead = nodes * (bay - state.home[wheel, 0])
-    known = abs(bay - state.home[wheel, 0]) <= 1
-    for line in range(state.o_re.shape[0]):
-        state.spare_re[:] = 0.0
-        state.spare_im[:] = 0.0
-        for k in range(width):
-            for j in range(width):
-                if (known and table.dofs[element, k] + ahead == table.dofs[before, j]
-                        and used(table, element, k) and used(table, before, j)):
-                    for n in (0, width):
-                        state.spare_re[n + k] = state.o_re[line, wheel, n + j]
-                        state.spare_im[n + k] = state.o_im[line, wheel, n + j]
-        for n in range(2 * width):
-            state.o_re[line, wheel, n] = state.spare_re[n]
-            state.o_im[line, wheel, n] = state.spare_im[n]
-    state.home[wheel, 0] = bay
-    state.home[wheel, 1] = element
+    state.o[:, :, 0] = force[:, :, None] / (1.0 - model.oe)
+    state.o[:, :, 1] = state.residue * state.o[:, :, 0]
 
 
 @njit(cache=True, nogil=True, inline='always')
-def stand(model, table, state, k, wheel, place):
-    """Put a wheel at its place in sample k and let its oscillators do the step to there."""
-    lines, width, weight = state.o_re.shape[0], state.weight.shape[1], state.weight
-    o_re, o_im, oe_re, oe_im = state.o_re, state.o_im, model.oe_re, model.oe_im
-    out_re, out_im = model.out_re, model.out_im
-    for n in range(lines):
-        force = state.last[k, n, wheel]
-        for i in range(oe_re.size):
-            re, im = o_re[n, wheel, i], o_im[n, wheel, i]
-            o_re[n, wheel, i] = oe_re[i] * re - oe_im[i] * im
-            o_im[n, wheel, i] = oe_re[i] * im + oe_im[i] * re
-        for i in range(width):
-            o_re[n, wheel, i] += force * weight[wheel, i]
-            o_re[n, wheel, i + width] += force * weight[wheel, i]
-    bay, interval, s = locate(table, place)
-    element = table.element[interval]
-    inside = min(max(place - table.start - bay * table.spacing, 0.0), table.spacing)
-    piece, state.local[k, wheel] = interval_at(model.breaks, model.guess, table.spacing, inside)
+def stand(model, state, k, wheel, place):
+    """Put a wheel at its place in sample k; what its oscillators have left there."""
+    bay = int(math.floor((place - model.start) / model.spacing))
+    inside = min(max(place - model.start - bay * model.spacing, 0.0), model.spacing)
+    piece, s = interval_at(model.breaks, model.guess, model.spacing, inside)
+    state.local[k, wheel] = s
     state.fresh[k, wheel, 0] = NOWHERE
-    if state.home[wheel, 0] != bay or state.home[wheel, 2] != piece:
+    if state.home[wheel, 0] != bay or state.home[wheel, 1] != piece:
         state.fresh[k, wheel, 0] = bay % model.cos.shape[0]
         state.fresh[k, wheel, 1] = piece
-        if state.home[wheel, 0] != bay or state.home[wheel, 1] != element:
-            enter(table, state, wheel, bay, element, model.nodes)
-        state.home[wheel, 2] = piece
-    c = table.coefficients
-    for i in range(width):
-        weight[wheel, i] = (
-            (c[interval, i, 3] * s + c[interval, i, 2]) * s + c[interval, i, 1]
-        ) * s + c[interval, i, 0]
-    for n in range(lines):
-        total = 0.0
-        for i in range(o_re.shape[2]):
-            re = ((out_re[interval, 3, i] * s + out_re[interval, 2, i]) * s
-                  + out_re[interval, 1, i]) * s + out_re[interval, 0, i]
-            im = ((out_im[interval, 3, i] * s + out_im[interval, 2, i]) * s
-                  + out_im[interval, 1, i]) * s + out_im[interval, 0, i]
-            total += re * o_re[n, wheel, i] - im * o_im[n, wheel, i]
-        state.free[k, n, wheel] = total
+        state.home[wheel, 0], state.home[wheel, 1] = bay, piece
+    # Residues a(x, x') of a wheel that was at x' are the mean of a(x, x) and a(x', x').
+    piece, s = interval_at(model.fine_breaks, model.fine_guess, model.spacing, inside)
+    out, o, e = model.out, state.o, model.oe
+    for n in range(o.shape[0]):
+        state.free[k, n, wheel] = 0.0
+    for i in range(2):
+        before = state.residue[wheel, i]
+        here = ((out[piece, 3, i] * s + out[piece, 2, i]) * s
+                + out[piece, 1, i]) * s + out[piece, 0, i]
+        state.residue[wheel, i] = here
+        for n in range(o.shape[0]):
+            force = state.last[k, n, wheel]
+            o[n, wheel, 0, i] = e[i] * o[n, wheel, 0, i] + force
+            o[n, wheel, 1, i] = e[i] * o[n, wheel, 1, i] + force * before
+            state.free[k, n, wheel] += 0.5 * (here * o[n, wheel, 0, i] + o[n, wheel, 1, i]).real
 
 
 # The loops over a chunk of modes: functions of plain arrays and indices, written into their
@@ -313,38 +264,43 @@ def stand(model, table, state, k, wheel, place):
 def fetch(first_re, first_im, second_re, second_im, cos, sin, bay, piece, wheel, chunk, source_re,
           source_im):
     """source[wheel] = cubics of c in a piece of a bay."""
+    half = min(max(cos.shape[2], 0), CHUNK)
     for i in range(4):
-        for p in range(cos.shape[2]):
+        for p in range(half):
             x, y = cos[bay, chunk, p], sin[bay, chunk, p]
             source_re[wheel, i, chunk, p] = (x * first_re[piece, i, chunk, p]
                                              + y * second_re[piece, i, chunk, p])
             source_im[wheel, i, chunk, p] = (x * first_im[piece, i, chunk, p]
                                              + y * second_im[piece, i, chunk, p])
+        for p in range(half):
+            x, y = cos[bay, chunk, p], sin[bay, chunk, p]
+            source_re[wheel, i, chunk, half + p] = (x * second_re[piece, i, chunk, p]
+                                                    - y * first_re[piece, i, chunk, p])
+            source_im[wheel, i, chunk, half + p] = (x * second_im[piece, i, chunk, p]
+                                                    - y * first_im[piece, i, chunk, p])
 
 
 @njit(cache=True, nogil=True, inline='always')
-def combine(s, source_re, source_im, wheel, chunk, r_re, r_im, c_re, c_im):
-    """c[wheel] = sum_i s^i source[wheel, i]; returns c r[0]."""
-    total = 0.0
+def combine(s, source_re, source_im, wheel, chunk, c_re, c_im):
+    """c[wheel] = sum_i s^i source[wheel, i]."""
     for p in range(c_re.shape[2]):
-        re = ((source_re[wheel, 3, chunk, p] * s + source_re[wheel, 2, chunk, p]) * s
-              + source_re[wheel, 1, chunk, p]) * s + source_re[wheel, 0, chunk, p]
-        im = ((source_im[wheel, 3, chunk, p] * s + source_im[wheel, 2, chunk, p]) * s
-              + source_im[wheel, 1, chunk, p]) * s + source_im[wheel, 0, chunk, p]
-        c_re[wheel, chunk, p], c_im[wheel, chunk, p] = re, im
-        total += re * r_re[0, chunk, p] - im * r_im[0, chunk, p]
-    return total
+        c_re[wheel, chunk, p] = (
+            (source_re[wheel, 3, chunk, p] * s + source_re[wheel, 2, chunk, p]) * s
+            + source_re[wheel, 1, chunk, p]) * s + source_re[wheel, 0, chunk, p]
+        c_im[wheel, chunk, p] = (
+            (source_im[wheel, 3, chunk, p] * s + source_im[wheel, 2, chunk, p]) * s
+            + source_im[wheel, 1, chunk, p]) * s + source_im[wheel, 0, chunk, p]
 
 
 @njit(cache=True, nogil=True, inline='always')
-def turn(e_re, e_im, one, c_re, c_im, chunk, line, r_re, r_im):
-    """r[line] <- e r[line] + one c[0], complex."""
+def turn(e_re, e_im, one, two, other, c_re, c_im, chunk, line, r_re, r_im):
+    """r[line] <- e r[line] + one c[0] + two c[other], complex."""
     for p in range(c_re.shape[2]):
         re, im = r_re[line, chunk, p], r_im[line, chunk, p]
         r_re[line, chunk, p] = (e_re[chunk, p] * re - e_im[chunk, p] * im
-                                + one * c_re[0, chunk, p])
+                                + one * c_re[0, chunk, p] + two * c_re[other, chunk, p])
         r_im[line, chunk, p] = (e_re[chunk, p] * im + e_im[chunk, p] * re
-                                + one * c_im[0, chunk, p])
+                                + one * c_im[0, chunk, p] + two * c_im[other, chunk, p])
 
 
 @njit(cache=True, nogil=True, inline='always')
@@ -366,7 +322,7 @@ def dot(c_re, c_im, wheel, chunk, line, r_re, r_im):
 
 
 @njit(cache=True, nogil=True, inline='always')
-def begin(model, table, offsets, state, position, force):
+def begin(model, offsets, state, position, force):
     """Put the wheels at positions (n,) [m] and tell what the past has left there, state.free.
 
     n is at most BATCH.  force (n, lines, wheels) [N, upward] are those at these places; the last
@@ -383,7 +339,7 @@ def begin(model, table, offsets, state, position, force):
                 state.force[n, w, 1] = newest
                 state.force[n, w, 0] = force[k, n, w]
         for w in range(wheels):
-            stand(model, table, state, k, w, position[k] + offsets[w])
+            stand(model, state, k, w, position[k] + offsets[w])
     state.place[0] = position[count - 1]
     for chunk in range(model.e_re.shape[0]):
         follow(model, state, count, chunk)
@@ -400,8 +356,10 @@ def follow(model, state, count, chunk):
     second_im, cos, sin = model.second_im, model.cos, model.sin
     for k in range(count):
         for n in range(lines):
-            turn(e_re, e_im, last[k, n, 0], c_re, c_im, chunk, n, r_re, r_im)
-            for w in range(1, wheels, 2):
+            other = min(1, wheels - 1)
+            two = last[k, n, other] if other else 0.0
+            turn(e_re, e_im, last[k, n, 0], two, other, c_re, c_im, chunk, n, r_re, r_im)
+            for w in range(2, wheels, 2):
                 other = min(w + 1, wheels - 1)
                 two = last[k, n, other] if other > w else 0.0
                 add(last[k, n, w], two, w, other, c_re, c_im, chunk, n, r_re, r_im)
@@ -409,7 +367,6 @@ def follow(model, state, count, chunk):
             if fresh[k, w, 0] != NOWHERE:
                 fetch(first_re, first_im, second_re, second_im, cos, sin, fresh[k, w, 0],
                       fresh[k, w, 1], w, chunk, source_re, source_im)
-            free[k, 0, w] += combine(local[k, w], source_re, source_im, w, chunk, r_re, r_im,
-                                     c_re, c_im)
-            for n in range(1, lines):
+            combine(np.float32(local[k, w]), source_re, source_im, w, chunk, c_re, c_im)
+            for n in range(lines):
                 free[k, n, w] += dot(c_re, c_im, w, chunk, n, r_re, r_im)

@@ -27,7 +27,7 @@ from railtrack_ros.dynamics.contact import (
     wheel_constants,
 )
 from railtrack_ros.dynamics.forward import ForwardResult, StepFailure, check_run, check_setup
-from railtrack_ros.dynamics.interpolation import ShapeTable, first_guess, locate
+from railtrack_ros.dynamics.interpolation import first_guess, locate
 from railtrack_ros.dynamics.modes import TrackModes, make_track_modes, ring_length
 from railtrack_ros.dynamics.recursion import (
     BATCH,
@@ -140,9 +140,9 @@ def compliance_at(table, x, out):
 
 
 @njit(cache=True, nogil=True, fastmath=True, _nrt=False)
-def advance(model, table, offsets, state, pairs, compliance, position, force, deflection):
+def advance(model, offsets, state, pairs, compliance, position, force, deflection):
     """Deflection (n, lines, wheels) under known upward forces (n, lines, wheels), n <= BATCH."""
-    begin(model, table, offsets, state, position, force)
+    begin(model, offsets, state, position, force)
     count, lines, wheels = force.shape
     for k in range(count):
         compliance_at(pairs, position[k], compliance)
@@ -155,7 +155,7 @@ def advance(model, table, offsets, state, pairs, compliance, position, force, de
 
 
 @njit(cache=True, nogil=True, fastmath=True, _nrt=False)
-def march(model, table, offsets, state, pairs, compliance, idle, force, work, constants, position,
+def march(model, offsets, state, pairs, compliance, idle, force, work, constants, position,
           irregularity, wheels, force_out, deflection_out, wheel_out, acceleration_out):
     """Wheels and rail together, irregularity given: returns (steps done, Newton iterations)."""
     steps, n = irregularity.shape
@@ -163,7 +163,7 @@ def march(model, table, offsets, state, pairs, compliance, idle, force, work, co
     iterations = 0
     for k in range(steps):
         state.place[0] = position[k]
-        begin(model, table, offsets, state, state.place, idle)
+        begin(model, offsets, state, state.place, idle)
         compliance_at(pairs, position[k], compliance)
         count = contact_step(free, compliance, irregularity[k], wheels, constants, force, work)
         if count < 0:
@@ -197,15 +197,14 @@ class RecursiveResponse:
         self.time_step = time_step
         self.lines = lines
         self._model = make_model(modes, time_step, hold)
-        self._state = make_state(self._model, modes.table, self.offsets.size, lines)
+        self._state = make_state(self._model, self.offsets.size, lines)
         self._pairs = compliances(modes, time_step, hold, self.offsets)
         self._compliance = np.empty((self.offsets.size, self.offsets.size))
 
     @property
-    def compiled(self) -> tuple[Model, ShapeTable, Array, State, Compliances, Array]:
+    def compiled(self) -> tuple[Model, Array, State, Compliances, Array]:
         """What the compiled loops take first: tables, and the state, which they change."""
-        return (self._model, self.modes.table, self.offsets, self._state, self._pairs,
-                self._compliance)
+        return self._model, self.offsets, self._state, self._pairs, self._compliance
 
     def settle(self, position: float, force: ArrayLike) -> None:
         """Start from the static deflection with the reference point at a position [m].
