@@ -22,6 +22,7 @@ from railtrack_ros.dynamics.irf import IrfForward
 from railtrack_ros.dynamics.modes import make_track_modes, ring_length
 from railtrack_ros.dynamics.newmark import FullModel
 from railtrack_ros.dynamics.recursive import MAXIMUM_FREQUENCY, RecursiveForward
+from railtrack_ros.estimation.closed_loop import BANDS
 from railtrack_ros.estimation.estimator import Estimator
 from railtrack_ros.irregularity.profile import iso3095
 from railtrack_ros.track.bay import Bay, Mesh, make_bay
@@ -210,24 +211,45 @@ def inverse(folder: Path) -> None:
     figure.savefig(folder / 'online_inverse.png', dpi=90)
 
 
-def estimated(vehicle: Any, a: np.ndarray, rate: float, speeds: tuple[float, float]
-              ) -> tuple[np.ndarray, np.ndarray]:
-    """Force and irregularity (n, 2) by the estimator."""
-    estimator = Estimator(bay_of('distributed').track, vehicle)
+def feed(estimator: Estimator, a: np.ndarray, rate: float, speeds: tuple[float, float]
+         ) -> list[Any]:
+    """Blocks of the estimator for accelerations (n, 2)."""
     duration = len(a) / rate
     for k in range(-10, round(100 * duration) + 3):
         estimator.add_speed(SECOND + k * SECOND // 100,
                             speeds[0] + (speeds[1] - speeds[0]) * k / 100 / duration)
-    blocks = []
-    for k in range(0, len(a), 256):
-        part = a[k:k + 256]
-        blocks.append(estimator.process(
-            SECOND + round(k / rate * SECOND), np.arange(len(part)) / rate,
-            {'lead': part[:, 0], 'trail': part[:, 1]}))
+    return [estimator.process(
+        SECOND + round(k / rate * SECOND), np.arange(len(a[k:k + 256])) / rate,
+        {'lead': a[k:k + 256, 0], 'trail': a[k:k + 256, 1]}) for k in range(0, len(a), 256)]
+
+
+def estimated(vehicle: Any, a: np.ndarray, rate: float, speeds: tuple[float, float]
+              ) -> tuple[np.ndarray, np.ndarray]:
+    """Force and irregularity (n, 2) by the estimator."""
+    blocks = feed(Estimator(bay_of('distributed').track, vehicle), a, rate, speeds)
     force, irregularity = (np.column_stack([
         np.concatenate([getattr(block, what)[name] for block in blocks])
         for name in ('lead', 'trail')]) for what in ('contact_force', 'irregularity'))
     return force, irregularity
+
+
+def model_residual() -> None:
+    """Share of the acceleration of the wheel behind that the model leaves unexplained, 25 m/s."""
+    rate, bogie = 25600.0, dataclasses.replace(VEHICLE, axle_boxes=(
+        AxleBox('lead', 'left', 0.0), AxleBox('trail', 'left', -2.5)))
+    position, irregularity = run((25.0, 25.0), 0.5 / rate, 2.2, (0.0, -2.5), rough=True)
+    truth = FullModel(bay_of('distributed', Mesh(10)), bogie, (0.0, -2.5), 0.5 / rate, 0.0)
+    a = truth.run(position, irregularity).axle_box_acceleration[::2]
+    print('| pad stiffness assumed | ' + ' | '.join(BANDS) + ' |')
+    for factor in (1.0, 0.6, 1.5):
+        track = bay_of('distributed').track
+        support = dataclasses.replace(
+            track.support, pad_stiffness=factor * track.support.pad_stiffness)
+        estimator = Estimator(dataclasses.replace(track, support=support), bogie)
+        feed(estimator, a, rate, (25.0, 25.0))
+        found = estimator.model_residual()['trail']
+        print(f'| {factor:g} | ' + ' | '.join(
+            f'{100.0 * found[band].share:.1f} %' for band in BANDS) + ' |', flush=True)
 
 
 def band_errors(x: np.ndarray, found: np.ndarray, truth: np.ndarray, bands: Sequence[float]
@@ -247,7 +269,7 @@ def band_errors(x: np.ndarray, found: np.ndarray, truth: np.ndarray, bands: Sequ
 if __name__ == '__main__':
     images = Path(sys.argv[1])
     images.mkdir(parents=True, exist_ok=True)
-    wanted = sys.argv[2:] or ['forward', 'ring', 'frequency', 'inverse']
+    wanted = sys.argv[2:] or ['forward', 'ring', 'frequency', 'inverse', 'residual']
     if 'forward' in wanted:
         forward_table()
     if 'ring' in wanted:
@@ -256,3 +278,5 @@ if __name__ == '__main__':
         error_by_frequency(images)
     if 'inverse' in wanted:
         inverse(images)
+    if 'residual' in wanted:
+        model_residual()

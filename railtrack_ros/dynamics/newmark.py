@@ -27,6 +27,7 @@ from railtrack_ros.dynamics.forward import (
     check_run,
     check_setup,
 )
+from railtrack_ros.dynamics.modes import ring_length
 from railtrack_ros.dynamics.support_forces import static_deviation
 from railtrack_ros.dynamics.window import TravellingWindow, assemble, make_operator
 from railtrack_ros.errors import InputError
@@ -45,7 +46,8 @@ LONGEST_MOVE = 0.25  # bays in one time step
 # with the shipped tracks.  A rail without loss on point supports hardly damps its pinned-pinned
 # wave, which takes 90 for 0.05 %.  Layers of growing damping at the ends were tried and gained
 # less than a few more bays: near the pinned-pinned frequency the group velocity vanishes, and any
-# change of the track reflects.
+# change of the track reflects.  Where waves run further the window goes as far as the slowest to
+# decay takes to the end and back.
 MARGIN = 40
 UNDAMPED_MARGIN = 90
 UNDAMPED = 0.005  # rail loss factor below which the latter applies
@@ -103,7 +105,7 @@ class FullModel:
             raise InputError(f'Newmark: beta {beta:g}, gamma {gamma:g} are not unconditionally '
                              'stable: expected gamma >= 1/2 and beta >= (gamma + 1/2)^2 / 4')
         row = track if isinstance(track, BayRow) else BayRow.periodic(track)
-        margin = max(map(default_margin, row.kinds)) if margin is None else margin
+        margin = default_margin(row.bay) if margin is None else margin
         if margin < 2:
             raise InputError(f'margin: {margin} bays are too few, at least 2 are needed')
         self.row, self.bay = row, row.bay
@@ -285,7 +287,9 @@ class FullModel:
 
 def default_margin(bay: Bay) -> int:
     """Bays beyond the outermost wheels that keep the ends' reflections out of the forces."""
-    return MARGIN if bay.track.rail.loss_factor >= UNDAMPED else UNDAMPED_MARGIN
+    if bay.track.rail.loss_factor < UNDAMPED:
+        return UNDAMPED_MARGIN
+    return max(MARGIN, ring_length(bay, [0.0]) // 2)
 
 
 def nodal_impulse_responses(bay: Bay, time_step: float, steps: int, reach: int,
