@@ -79,6 +79,8 @@ _RECENT: deque[tuple[TrackModes, tuple[float, str, bytes], Compliances]] = deque
 
 def compliances(modes: TrackModes, time_step: float, hold: str, offsets: Array) -> Compliances:
     """Deflection [m/N] at each wheel by a force at each wheel in the same step; remembered."""
+    if hold == 'corrected':
+        hold = 'linear'  # with the same coefficients
     key = (time_step, hold, offsets.tobytes())
     for of, asked, found in _RECENT:
         if of is modes and asked == key:
