@@ -13,8 +13,8 @@ The sum follows the load at any speed profile, which is what the recursive solve
 have died away before they come round.
 
 Poles above a cut-off are not kept one by one.  What they do below it hardly leaves the place of
-the force: two oscillators stand for all of them, with the right compliance and the right inertia.
-Their frequencies are the two that stand best for those of the poles.
+the force: a few oscillators stand for all of them, with the right compliance and the right
+inertia.  Their frequencies are those that stand best for the poles'.
 """
 
 from __future__ import annotations
@@ -34,11 +34,9 @@ from railtrack_ros.track.bay import Bay
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# Damping ratio of the two oscillators: what they stand for is left behind by a moving wheel, the
-# short waves of local systems sooner than others.
-DAMPING_RATIO = {'none': 0.25, 'static': 0.25, 'dynamic': 0.4}
-# Their natural frequencies over the cut-off where no pole lies above it.
-NO_POLES = (1.2, 2.0)
+# Oscillators that stand for the poles that are not kept.
+OSCILLATORS = 3
+DAMPING_RATIO = 0.3  # of theirs, for the waves that run away; 0.2 to 0.4 serve as well
 
 LOWEST_CUT_OFF = 500.0  # Hz
 
@@ -49,8 +47,8 @@ class TrackModes:
 
     bays: N.  poles (p,) [1/s], none of negative imaginary part; wave_number (p,) q [rad per bay].
     first, second (nb + 2, p): g1, g2 at the degrees of freedom of bay 0; in bay m they are turned,
-    cos(qm) g1 + sin(qm) g2 and cos(qm) g2 - sin(qm) g1.  oscillators (2,): poles [1/s] of those
-    that stand for all others; amplitude (2, nb + 2, nb + 2): their
+    cos(qm) g1 + sin(qm) g2 and cos(qm) g2 - sin(qm) g1.  oscillators (k,): poles [1/s] of those
+    that stand for all others; amplitude (k, nb + 2, nb + 2): their
     residues [m/(N s)] within a bay.
     remainder (N, nb + 2, nb + 2): static flexibility [m/N] of the poles that are not kept, between
     degrees of freedom so many bays apart.  table: N(x) and F(x) of the bay.
@@ -119,8 +117,8 @@ def _response(s: ComplexArray, poles: ComplexArray, gain: ComplexArray) -> Compl
 
 
 def _amplitudes(poles: ComplexArray, moments: Array) -> ComplexArray:
-    """Residues (2, ...) of a_i / (s - pole_i) + conjugate with moments (4, ...) about s = 0."""
-    powers = -poles ** -(np.arange(4.0)[:, None] + 1.0)
+    """Residues (k, ...) of a_i / (s - pole_i) + conjugate with moments (2k, ...) about s = 0."""
+    powers = -poles ** -(np.arange(2.0 * poles.size)[:, None] + 1.0)
     system = np.hstack([powers.real, -powers.imag])
     real, imaginary = np.split(np.einsum('ab,bij->aij', np.linalg.inv(system), moments), 2)
     return np.asarray(real + 1j * imaginary)
@@ -139,16 +137,14 @@ def make_track_modes(bay: Bay, bays: int = 61, maximum_frequency: float = 5000.0
                          f'least {LOWEST_CUT_OFF:g} Hz')
     shape = bay.shape(bay.spacing * (np.arange(240) + 0.5) / 240)
     mean = shape.T @ shape / len(shape)
-    ratio = DAMPING_RATIO[bay.mesh.local_system]
     digest = cache.key([__file__], bay.stiffness, bay.damping, bay.mass, bay.dofs, bays,
-                       maximum_frequency, mean, ratio)
-    arrays = cache.stored(
-        'modes', digest, lambda: _compute(bay, bays, maximum_frequency, mean, ratio))
+                       maximum_frequency, mean)
+    arrays = cache.stored('modes', digest, lambda: _compute(bay, bays, maximum_frequency, mean))
     return TrackModes(bay=bay, bays=bays, maximum_frequency=maximum_frequency,
                       table=shape_table(bay), **arrays)
 
 
-def _compute(bay: Bay, bays: int, maximum_frequency: float, mean: Array, ratio: float
+def _compute(bay: Bay, bays: int, maximum_frequency: float, mean: Array
              ) -> dict[str, NDArray[Any]]:
     """Arrays of the modes; mean (nb + 2, nb + 2): N^T N averaged over the bay."""
     n = bay.dofs
@@ -159,8 +155,9 @@ def _compute(bay: Bay, bays: int, maximum_frequency: float, mean: Array, ratio: 
 
     poles, numbers, firsts, seconds = [], [], [], []
     static = np.zeros((bays, n + 2, n + 2))
-    moments = np.zeros((4, n + 2, n + 2))  # of the others' receptance: powers of s
-    spectrum = np.zeros(4)  # mean static compliance of the others, times powers of (limit / pole)^2
+    moments = np.zeros((2 * OSCILLATORS, n + 2, n + 2))  # of the others' receptance: powers of s
+    # Mean static compliance of the others, times powers of (limit / pole)^2.
+    spectrum = np.zeros(2 * OSCILLATORS)
     for j, (value, response, excitation, compliance) in enumerate(solved):
         alone = j == 0 or 2 * j == bays
         weight = (1.0 if alone else 2.0) / bays
@@ -180,15 +177,15 @@ def _compute(bay: Bay, bays: int, maximum_frequency: float, mean: Array, ratio: 
         turn = np.exp(1j * q * np.arange(bays))
         static += weight * (turn[:, None, None] * rest).real
         moments[0] += weight * rest.real
-        for power in range(1, 4):
+        for power in range(1, 2 * OSCILLATORS):
             moments[power] -= weight * (response[:, kept:] @ (
                 excitation[kept:] / value[kept:, None] ** (power + 1))).real
         share_of = -((mean @ response[:, kept:]).T * excitation[kept:]).sum(axis=1) / value[kept:]
         spectrum += weight * share_of.real @ np.abs(limit / value[kept:, None]) ** (
-            2 * np.arange(4))
+            2 * np.arange(2 * OSCILLATORS))
 
-    omega = limit * _two_frequencies(spectrum)
-    unit = complex(-ratio, math.sqrt(1.0 - ratio**2))
+    omega = limit * _frequencies(spectrum)
+    unit = complex(-DAMPING_RATIO, math.sqrt(1.0 - DAMPING_RATIO**2))
     oscillators = np.asarray(omega * unit, dtype=complex)
     return {
         'poles': np.concatenate(poles), 'wave_number': np.concatenate(numbers),
@@ -198,18 +195,19 @@ def _compute(bay: Bay, bays: int, maximum_frequency: float, mean: Array, ratio: 
     }
 
 
-def _two_frequencies(spectrum: Array) -> Array:
-    """Frequencies (2,) of two oscillators for many, over the cut-off.
+def _frequencies(spectrum: Array) -> Array:
+    """Frequencies (k,) of a few oscillators that stand for many, over the cut-off.
 
-    spectrum (4,): moments of the many's compliance over (cut-off / frequency)^2; those of the two
+    spectrum (2k,): moments of the many's compliance over (cut-off / frequency)^2; those of the few
     are the same, which makes them a Gaussian quadrature.
     """
-    s = spectrum
-    if s[0] <= 0.0:
-        return np.array(NO_POLES)
-    linear, constant = np.linalg.solve([[s[1], s[0]], [s[2], s[1]]], [-s[2], -s[3]])
-    nodes = np.sort(np.roots([1.0, linear, constant]).real)[::-1]
-    return np.asarray(1.0 / np.sqrt(np.clip(nodes, 0.01, 1.0)))
+    k = spectrum.size // 2
+    if spectrum[0] <= 0.0:
+        return np.asarray(1.0 + 0.5 * np.arange(1.0, k + 1.0))  # no pole lies above
+    hankel = spectrum[np.arange(k)[:, None] + np.arange(k)]
+    polynomial = np.append(np.linalg.solve(hankel, -spectrum[k:]), 1.0)
+    nodes = np.sort(np.roots(polynomial[::-1]).real)[::-1]
+    return np.asarray(1.0 / np.sqrt(np.clip(nodes, 1e-3, 1.0)))
 
 
 def _cell(bay: Bay, q: float) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:

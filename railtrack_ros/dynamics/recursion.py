@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 
 from railtrack_ros.compiled import njit
 from railtrack_ros.dynamics.interpolation import ShapeTable, first_guess, interval_at
-from railtrack_ros.dynamics.modes import ComplexArray, TrackModes
+from railtrack_ros.dynamics.modes import OSCILLATORS, ComplexArray, TrackModes
 from railtrack_ros.errors import InputError
 
 Array = NDArray[np.float64]
@@ -81,7 +81,7 @@ class Model(NamedTuple):
     breaks, guess: pieces of a bay, as in `interpolation.ShapeTable`.  first, second re and im
     (pieces, 4, chunks, modes / 2): c of g1 and of g2 in bay 0, cubics in s; in bay m they are
     turned, as in `modes.TrackModes`, by cos, sin (bays, chunks, modes / 2).  e re and im (...).
-    oe (2,): the oscillators that stand for the poles that are not kept; out (finer pieces, 4, 2),
+    oe (k,): the oscillators that stand for the poles that are not kept; out (finer pieces, 4, k),
     cubics: residues where the wheel is, times p0 + e p1.  fine_breaks, fine_guess: those pieces.
     """
 
@@ -107,11 +107,11 @@ class Model(NamedTuple):
 class State(NamedTuple):
     """What a run carries from step to step, for `wheels` wheels on each of `lines` rails.
 
-    r (lines, chunks, modes); oscillators o (lines, wheels, 2, 2), driven by the force and by force
+    r (lines, chunks, modes); oscillators o (lines, wheels, 2, k), driven by the force and by force
     times residue; place of the reference point (1,) [m] and force (lines, wheels, 2)
     at the last samples, newest first.  All else follows from them: home (wheels, 2), bay and
     piece; source (wheels, 4, chunks, modes), the cubics there; c (wheels, chunks, modes); residue
-    (wheels, 2).
+    (wheels, k).
     The rest is scratch, for BATCH samples: the loops do not allocate.  fresh (BATCH, wheels, 2):
     bay and piece that a wheel comes to in a sample, or NOWHERE; local (BATCH, wheels): s;
     last (BATCH, lines, wheels): forces of the last sample as the hold takes them; free (BATCH,
@@ -207,7 +207,8 @@ def make_state(model: Model, wheels: int, lines: int = 1) -> State:
     row, single = model.e_re.shape, np.float32
     return State(
         r_re=_zeros(lines, *row), r_im=_zeros(lines, *row),
-        o=np.zeros((lines, wheels, 2, 2), complex), residue=np.zeros((wheels, 2), complex),
+        o=np.zeros((lines, wheels, 2, OSCILLATORS), complex),
+        residue=np.zeros((wheels, OSCILLATORS), complex),
         place=np.zeros(1), force=np.zeros((lines, wheels, 2)),
         home=np.full((wheels, 2), NOWHERE),
         source_re=_zeros(wheels, 4, *row, dtype=single),
@@ -244,7 +245,7 @@ def stand(model, state, k, wheel, place):
     out, o, e = model.out, state.o, model.oe
     for n in range(o.shape[0]):
         state.free[k, n, wheel] = 0.0
-    for i in range(2):
+    for i in range(OSCILLATORS):
         before = state.residue[wheel, i]
         here = ((out[piece, 3, i] * s + out[piece, 2, i]) * s
                 + out[piece, 1, i]) * s + out[piece, 0, i]
