@@ -33,8 +33,8 @@ from railtrack_ros.dynamics import (
 from railtrack_ros.dynamics import (
     modes as ring_modes,
 )
-from railtrack_ros.dynamics.contact import contact_step, standing_wheels, wheel_constants
-from railtrack_ros.dynamics.forward import ForwardResult, StepFailure, check_run, check_setup
+from railtrack_ros.dynamics.contact import contact_step, wheel_constants
+from railtrack_ros.dynamics.forward import ForwardResult, ForwardSolver, check_setup
 from railtrack_ros.dynamics.interpolation import cubic, locate, shape_table
 from railtrack_ros.dynamics.modes import make_track_modes, ring_length
 from railtrack_ros.dynamics.newmark import nodal_impulse_responses
@@ -290,7 +290,7 @@ def march(table, h, history, first_step, offsets, constants, position, irregular
     return steps, iterations
 
 
-class IrfForward:
+class IrfForward(ForwardSolver):
     """Wheels of one rail over a given irregularity: contact forces by convolution.
 
     Same use and results as `newmark.FullModel`.  Parameters: bay; vehicle (wheel and contact are
@@ -299,23 +299,23 @@ class IrfForward:
     Raises InputError.  `left` is the share of a deflection that the memory cuts off.
     """
 
-    def __init__(self, bay: Bay, vehicle: Vehicle, offsets: Sequence[float], time_step: float,
-                 start_position: float, memory: float | None = None,
+    name = 'IRF solver'
+
+    def __init__(self, bay: Bay, vehicle: Vehicle, offsets: Sequence[float] | Array,
+                 time_step: float, start_position: float, memory: float | None = None,
                  hold: str = 'trapezoidal') -> None:
-        self.offsets = check_setup(offsets, time_step)
+        offsets = check_setup(offsets, time_step)
         memory = memory_of(bay) if memory is None else float(memory)
         if not memory >= 10.0 * time_step:
             raise InputError(f'memory: {memory:g} s is too short, at least ten time steps '
                              f'({10.0 * time_step:g} s) are needed')
         if hold not in HOLDS:
             raise InputError(f'hold {hold!r}: expected one of ' + ', '.join(HOLDS))
+        super().__init__(wheel_constants(vehicle, time_step), offsets, start_position,
+                         0.25 * bay.spacing)
         self.bay, self.hold = bay, hold
-        self.time_step = float(time_step)
-        self.start_position = float(start_position)
         self.memory = math.ceil(memory / time_step)
         self.left = float(deflection_left(bay, memory)[1][-1])
-        self.constants = wheel_constants(vehicle, time_step)
-        self.iterations = self.steps = 0
         self._table = shape_table(bay)
         self._responses: Array = np.zeros((bay.dofs, bay.dofs, 0, self.memory))
         n, k = self.offsets.size, self._table.dofs.shape[1]
@@ -324,43 +324,18 @@ class IrfForward:
             drive=np.zeros((n, k, 2 * self.memory)),
             bay=np.zeros(shape, np.int64), element=np.zeros(shape, np.int64),
             first_step=np.zeros(shape, np.int64), newest=np.zeros(n, np.int64))
-        self._wheels: Array | None = None
         self._recent: Array = np.zeros(0)
 
-    def run(self, position: ArrayLike, irregularity: ArrayLike) -> ForwardResult:
-        """Step to each position (n,) [m] with irregularity (n, wheels) [m] under the wheels.
-
-        Successive calls continue.  Raises InputError, or StepFailure with the result so far.
-        """
-        last = float(self._recent[-1]) if self._recent.size else None
-        position, irregularity = check_run(
-            position, irregularity, self.offsets.size, last, self.start_position,
-            0.25 * self.bay.spacing)
-        result = ForwardResult.empty(position.size, self.offsets.size)
-        if position.size == 0:
-            return result
-        self._reach_over(np.concatenate([self._recent, position]))
-        begin = 0
-        if self._wheels is None:
-            deflection = self._stand(position[0])
-            self._wheels = standing_wheels(self.constants, deflection, irregularity[0])
-            result.contact_force[0] = self.constants.static_load
-            result.rail_deflection[0] = deflection
-            result.wheel_displacement[0] = self._wheels[0]
-            begin = 1
+    def _march(self, position: Array, irregularity: Array, wheels: Array, out: ForwardResult
+               ) -> tuple[int, str]:
+        track = np.concatenate([self._recent, position])
+        self._reach_over(track)
+        self._recent = track[-self.memory:]
         done, iterations = march(
             self._table, self._responses, self._history, self.memory + self.steps, self.offsets,
-            self.constants, position[begin:], irregularity[begin:], self._wheels,
-            *result.part(begin, position.size).arrays())
-        self.steps += done
+            self.constants, position, irregularity, wheels, *out.arrays())
         self.iterations += iterations
-        if begin + done < position.size:
-            raise StepFailure(
-                f'IRF solver: the contact forces did not converge in time step '
-                f'{self.steps + 1} at position {position[begin + done]:.6g} m',
-                result.part(0, begin + done))
-        self._recent = np.concatenate([self._recent, position])[-self.memory:]
-        return result
+        return done, '' if done == position.size else 'the contact forces did not converge'
 
     def _reach_over(self, position: Array) -> None:
         """Have the impulse responses as far along the track as one memory of this run covers."""
@@ -374,10 +349,11 @@ class IrfForward:
             self._responses = element_impulse_responses(
                 self.bay, self.time_step, self.memory, -(-reach // 8) * 8, self.hold)
 
-    def _stand(self, position: float) -> Array:
-        """Fill the memory with wheels standing at `position`; returns their deflection (n,)."""
+    def _stand(self, position: Array) -> Array:
+        self._reach_over(position)
+        self._recent = position[:1]
         load = -self.constants.static_load
-        number, inside = self.bay.locate(position + self.offsets)
+        number, inside = self.bay.locate(position[0] + self.offsets)
         interval, s = self.bay.table.locate(inside)
         weights = np.einsum('wkc,wc->wk', self._table.coefficients[interval],
                             s[:, None] ** np.arange(4))

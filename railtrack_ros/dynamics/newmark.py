@@ -17,16 +17,11 @@ from collections.abc import Sequence
 import numpy as np
 import scipy.sparse
 import scipy.sparse.linalg
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from railtrack_ros.dynamics import newmark_kernel as kernel
-from railtrack_ros.dynamics.contact import standing_wheels, wheel_constants
-from railtrack_ros.dynamics.forward import (
-    ForwardResult,
-    StepFailure,
-    check_run,
-    check_setup,
-)
+from railtrack_ros.dynamics.contact import wheel_constants
+from railtrack_ros.dynamics.forward import ForwardResult, ForwardSolver, check_setup
 from railtrack_ros.dynamics.modes import ring_length
 from railtrack_ros.dynamics.support_forces import static_deviation
 from railtrack_ros.dynamics.window import TravellingWindow, assemble, make_operator
@@ -54,8 +49,12 @@ UNDAMPED = 0.005  # rail loss factor below which the latter applies
 
 MOST_STATIC_ITERATIONS = 100
 
+FAILURES = {kernel.CONTACT_FAILED: 'the contact forces did not converge',
+            kernel.SUPPORT_FAILED: 'the forces of the supports did not converge',
+            kernel.DIVERGED: 'the solution diverged'}
 
-class FullModel:
+
+class FullModel(ForwardSolver):
     """Wheels of one rail on the finite-element track, step by step.
 
     Parameters
@@ -96,11 +95,13 @@ class FullModel:
         A set-up that cannot run.
     """
 
-    def __init__(self, track: Bay | BayRow, vehicle: Vehicle, offsets: Sequence[float],
+    name = 'full model'
+
+    def __init__(self, track: Bay | BayRow, vehicle: Vehicle, offsets: Sequence[float] | Array,
                  time_step: float, start_position: float, margin: int | None = None,
                  beta: float = 0.25, gamma: float = 0.5, tolerance: float = 1e-10,
                  iteration: str = 'newton') -> None:
-        self.offsets = check_setup(offsets, time_step)
+        offsets = check_setup(offsets, time_step)
         if not (0.5 <= gamma <= 1.0 and 0.25 * (gamma + 0.5) ** 2 - 1e-12 <= beta <= 1.0):
             raise InputError(f'Newmark: beta {beta:g}, gamma {gamma:g} are not unconditionally '
                              'stable: expected gamma >= 1/2 and beta >= (gamma + 1/2)^2 / 4')
@@ -109,11 +110,10 @@ class FullModel:
         if margin < 2:
             raise InputError(f'margin: {margin} bays are too few, at least 2 are needed')
         self.row, self.bay = row, row.bay
-        self.time_step = float(time_step)
-        self.start_position = float(start_position)
-        self.constants = wheel_constants(vehicle, time_step, beta, gamma, tolerance, iteration)
-        self.steps = 0
-        self.iterations = self.most_iterations = 0
+        super().__init__(
+            wheel_constants(vehicle, time_step, beta, gamma, tolerance, iteration), offsets,
+            start_position, LONGEST_MOVE * self.bay.spacing)
+        self.most_iterations = 0
         self.support_iterations = self.most_support_iterations = 0
 
         # Lanes in which each wheel can stand while the reference point is inside its bay.
@@ -127,77 +127,26 @@ class FullModel:
         shape = self.window.compiled.operator.pivot.shape
         self._u, self._v, self._a = np.zeros(shape), np.zeros(shape), np.zeros(shape)
         self._forces = np.zeros((2, shape[1]))
-        self._wheels: Array | None = None
-        self._last: float | None = None
 
-    def run(self, position: ArrayLike, irregularity: ArrayLike) -> ForwardResult:
-        """Step to each position (n,) [m] of the reference point.
-
-        Parameters
-        ----------
-        position
-            One per time step; the first of the first call is the start position.
-        irregularity
-            (n, wheels) [m], each at its wheel's own place.
-
-        Raises
-        ------
-        InputError
-            Input of the wrong shape, or a step that moves too far.
-        StepFailure
-            No convergence, or divergence; it names the step and carries the result so far.  The
-            model cannot go on after it.
-        """
-        wheels = self.offsets.size
-        position, irregularity = check_run(
-            position, irregularity, wheels, self._last, self.start_position,
-            LONGEST_MOVE * self.bay.spacing)
-        result = ForwardResult.empty(position.size, wheels)
-        if position.size == 0:
-            return result
-        begin = 0
-        if self._wheels is None:
-            self._wheels = self._stand(position[0], irregularity[0])
-            for array, value in zip(result.arrays(), (
-                    self.constants.static_load, self._wheels[0] - irregularity[0]
-                    + self._wheels[3], self._wheels[0], 0.0), strict=True):
-                array[0] = value
-            begin = 1
-        status = kernel.MOVED
-        while status == kernel.MOVED:
-            done, status = self._advance(position, irregularity, result, begin)
-            begin += done
-            if status == kernel.MOVED:
-                self._move_to(position[begin])
-        if status != kernel.FINISHED:
-            reason = {kernel.CONTACT_FAILED: 'the contact forces did not converge',
-                      kernel.SUPPORT_FAILED: 'the forces of the supports did not converge',
-                      kernel.DIVERGED: 'the solution diverged'}[status]
-            raise StepFailure(
-                f'full model: {reason} in time step {self.steps + 1} at position '
-                f'{position[begin]:.6g} m; a time step shorter than {self.time_step:g} s '
-                'is needed, or a smoother irregularity'
-                + (', or the iteration newton' if self.constants.fixed else ''),
-                result.part(0, begin))
-        self._last = float(position[-1])
-        return result
-
-    def _advance(self, position: Array, irregularity: Array, result: ForwardResult, begin: int
-                 ) -> tuple[int, int]:
-        """Step from `begin` on while the window holds; returns the steps done and the status."""
-        rest = result.part(begin, position.size)
-        iterations = np.zeros((position.size - begin, 2), dtype=np.int64)
-        done, status = kernel.run(
-            self.window.compiled, self._forces, self.constants, self.window.stay, self._home,
-            self.offsets, position[begin:], irregularity[begin:], self._u, self._v, self._a,
-            self._wheels, *rest.arrays(), iterations)
-        total, most = iterations.sum(axis=0), iterations.max(axis=0, initial=0)
-        self.steps += done
-        self.iterations += int(total[0])
-        self.support_iterations += int(total[1])
-        self.most_iterations = max(self.most_iterations, int(most[0]))
-        self.most_support_iterations = max(self.most_support_iterations, int(most[1]))
-        return done, status
+    def _march(self, position: Array, irregularity: Array, wheels: Array, out: ForwardResult
+               ) -> tuple[int, str]:
+        done = 0
+        while True:
+            rest = out.part(done, position.size)
+            iterations = np.zeros((position.size - done, 2), dtype=np.int64)
+            more, status = kernel.run(
+                self.window.compiled, self._forces, self.constants, self.window.stay, self._home,
+                self.offsets, position[done:], irregularity[done:], self._u, self._v, self._a,
+                wheels, *rest.arrays(), iterations)
+            done += more
+            total, most = iterations.sum(axis=0), iterations.max(axis=0, initial=0)
+            self.iterations += int(total[0])
+            self.support_iterations += int(total[1])
+            self.most_iterations = max(self.most_iterations, int(most[0]))
+            self.most_support_iterations = max(self.most_support_iterations, int(most[1]))
+            if status != kernel.MOVED:
+                return done, FAILURES.get(status, '')
+            self._move_to(position[done])
 
     def _move_to(self, position: float) -> None:
         """Bring the window along, where it comes to another sequence of bays."""
@@ -223,10 +172,9 @@ class FullModel:
         """Number of the track's bay at the left end of the window now."""
         return int(self._home[0] - self._home[1])
 
-    def _stand(self, position: float, irregularity: Array) -> Array:
-        """Put the track into static equilibrium under the wheels; return the wheels' state."""
+    def _stand(self, position: Array) -> Array:
         nb = self.bay.dofs
-        number, inside = self.bay.locate(position + self.offsets)
+        number, inside = self.bay.locate(position[0] + self.offsets)
         lane = number - self.first_bay
         own = self.row.kind(self.first_bay, self.bays)
         standing = [self.row.kinds[own[k]] for k in lane]
@@ -238,8 +186,8 @@ class FullModel:
         np.add.at(load, places, -self.constants.static_load * shape)
         u = self._static(assemble([self.row.kinds[k].stiffness for k in own], self.bays), load)
         self._u[:nb, :self.bays] = u[:self.bays * nb].reshape(self.bays, nb).T
-        deflection = (shape * u[places]).sum(axis=1) - flexibility * self.constants.static_load
-        return standing_wheels(self.constants, deflection, irregularity)
+        deflection: Array = (shape * u[places]).sum(axis=1)
+        return deflection - flexibility * self.constants.static_load
 
     def _static(self, stiffness: scipy.sparse.csc_matrix, load: Array) -> Array:
         """Displacements ((bays + 1) nb,) under a static load, by Newton's method."""

@@ -20,13 +20,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from railtrack_ros.compiled import njit
-from railtrack_ros.dynamics.contact import (
-    contact_step,
-    contact_work,
-    standing_wheels,
-    wheel_constants,
-)
-from railtrack_ros.dynamics.forward import ForwardResult, StepFailure, check_run, check_setup
+from railtrack_ros.dynamics.contact import contact_step, contact_work, wheel_constants
+from railtrack_ros.dynamics.forward import ForwardResult, ForwardSolver, check_setup
 from railtrack_ros.dynamics.interpolation import first_guess, locate
 from railtrack_ros.dynamics.modes import TrackModes, make_track_modes, ring_length
 from railtrack_ros.dynamics.recursion import (
@@ -251,7 +246,7 @@ class RecursiveResponse:
             getattr(self._state, name)[:] = state[name]
 
 
-class RecursiveForward:
+class RecursiveForward(ForwardSolver):
     """Wheels of one rail over a given irregularity: contact forces by recursion.
 
     Same use and results as `newmark.FullModel`; with the trapezoidal hold the same time
@@ -261,64 +256,40 @@ class RecursiveForward:
     are kept one by one, and bays in the ring, for a bay.  Raises InputError.
     """
 
+    name = 'recursive solver'
+
     def __init__(self, bay: Bay | TrackModes, vehicle: Vehicle, offsets: Sequence[float] | Array,
                  time_step: float, start_position: float, hold: str = 'trapezoidal',
                  maximum_frequency: float = MAXIMUM_FREQUENCY, bays: int | None = None) -> None:
-        self.offsets = check_setup(offsets, time_step)
+        offsets = check_setup(offsets, time_step)
         if isinstance(bay, Bay):
-            least = math.ceil(np.ptp(self.offsets) / bay.spacing) + 3
+            least = math.ceil(np.ptp(offsets) / bay.spacing) + 3
             if bays is not None and bays < least:
                 raise InputError(f'bays in the ring: expected at least {least} for these wheels, '
                                  f'got {bays}')
-            bays = ring_length(bay, self.offsets) if bays is None else bays
+            bays = ring_length(bay, offsets) if bays is None else bays
             bay = make_track_modes(bay, bays, maximum_frequency)
         if hold not in FORWARD_HOLDS:
             raise InputError(f'hold {hold!r}: expected one of ' + ', '.join(FORWARD_HOLDS))
+        super().__init__(wheel_constants(vehicle, time_step), offsets, start_position,
+                         0.25 * bay.bay.spacing)
         self.modes = bay
-        self.start_position = float(start_position)
-        self.constants = wheel_constants(vehicle, time_step)
-        self.iterations = self.steps = 0
-        self._response = RecursiveResponse(self.modes, time_step, self.offsets, hold)
-        self._wheels: Array | None = None
-        self._last: float | None = None
+        self._response = RecursiveResponse(self.modes, time_step, offsets, hold)
 
-    def run(self, position: ArrayLike, irregularity: ArrayLike) -> ForwardResult:
-        """Step to each position (n,) [m] with irregularity (n, wheels) [m] under the wheels.
+    def _stand(self, position: Array) -> Array:
+        load = np.full(self.offsets.size, -self.constants.static_load)
+        self._response.settle(position[0], load)
+        # Constant forces keep a settled rail where it is.
+        return self._response.deflection(position[:1], load[None])[0]
 
-        Successive calls continue.  Raises InputError, or StepFailure with the result so far.
-        """
-        position, irregularity = check_run(
-            position, irregularity, self.offsets.size, self._last, self.start_position,
-            0.25 * self.modes.bay.spacing)
-        result = ForwardResult.empty(position.size, self.offsets.size)
-        if position.size == 0:
-            return result
-        first = 0
-        response = self._response
-        if self._wheels is None:
-            load = np.full(self.offsets.size, -self.constants.static_load)
-            response.settle(position[0], load)
-            # Constant forces keep a settled rail where it is.
-            deflection = response.deflection(position[:1], load[None])[0]
-            self._wheels = standing_wheels(self.constants, deflection, irregularity[0])
-            result.contact_force[0] = self.constants.static_load
-            result.rail_deflection[0] = deflection
-            result.wheel_displacement[0] = self._wheels[0]
-            first = 1
-        wheels = self.offsets.size
+    def _march(self, position: Array, irregularity: Array, wheels: Array, out: ForwardResult
+               ) -> tuple[int, str]:
+        n = self.offsets.size
         done, iterations = march(
-            *response.compiled, np.zeros((1, 1, wheels)), np.empty(wheels), contact_work(wheels),
-            self.constants, position[first:], irregularity[first:], self._wheels,
-            *result.part(first, position.size).arrays())
-        self.steps += done
+            *self._response.compiled, np.zeros((1, 1, n)), np.empty(n), contact_work(n),
+            self.constants, position, irregularity, wheels, *out.arrays())
         self.iterations += iterations
-        if first + done < position.size:
-            raise StepFailure(
-                f'recursive solver: the contact forces did not converge in time step '
-                f'{self.steps + 1} at position {position[first + done]:.6g} m',
-                result.part(0, first + done))
-        self._last = float(position[-1])
-        return result
+        return done, '' if done == position.size else 'the contact forces did not converge'
 
     def state(self) -> dict[str, Array]:
         """A copy of all that the run has to remember: some kilobytes."""
