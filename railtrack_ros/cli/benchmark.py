@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 EXAMPLE = 'railtrack benchmark --only full_model --json'
 
 # Modules of the folder benchmarks/: each has a TITLE and figures() that yields what it measures.
-MODULES = ('bags', 'frequency_domain', 'full_model', 'indicators', 'online', 'thesis_speed')
+MODULES = ('bags', 'frequency_domain', 'full_model', 'indicators', 'online', 'peer', 'thesis_speed')
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
