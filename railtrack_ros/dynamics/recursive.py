@@ -12,14 +12,14 @@ mesh, and tabulated as such.
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from railtrack_ros.compiled import njit
+from railtrack_ros.dynamics import cache, recursion
 from railtrack_ros.dynamics.contact import contact_step, contact_work, wheel_constants
 from railtrack_ros.dynamics.forward import ForwardResult, ForwardSolver, check_setup
 from railtrack_ros.dynamics.interpolation import first_guess, locate
@@ -53,9 +53,8 @@ FORWARD_HOLDS = ('trapezoidal', 'linear')
 class Compliances(NamedTuple):
     """Compliance between the wheels of a rail, over one bay of the reference point.
 
-    start, spacing, breaks, guess, element: as in `interpolation.ShapeTable`; first, second
-    (pairs,): wheels.  coefficients (pairs * intervals, 7)
-    [m/N]: sum of coefficients s^n.
+    start, spacing, breaks, guess: as in `interpolation.ShapeTable`; first, second (pairs,): wheels.
+    coefficients (pairs, intervals, 7) [m/N]: sum of coefficients s^n.
     """
 
     start: float
@@ -64,28 +63,21 @@ class Compliances(NamedTuple):
     guess: NDArray[np.int64]
     first: NDArray[np.int64]
     second: NDArray[np.int64]
-    intervals: int
     coefficients: Array
 
 
-# The compliances asked for last: half a second of work, which a live stream cannot wait for.
-_RECENT: deque[tuple[TrackModes, tuple[float, str, bytes], Compliances]] = deque(maxlen=6)
-
-
 def compliances(modes: TrackModes, time_step: float, hold: str, offsets: Array) -> Compliances:
-    """Deflection [m/N] at each wheel by a force at each wheel in the same step; remembered."""
+    """Deflection [m/N] at each wheel by a force at each wheel in the same step."""
     if hold == 'corrected':
         hold = 'linear'  # with the same coefficients
-    key = (time_step, hold, offsets.tobytes())
-    for of, asked, found in _RECENT:
-        if of is modes and asked == key:
-            return found
-    found = _compliances(modes, time_step, hold, offsets)
-    _RECENT.append((modes, key, found))
-    return found
+    digest = cache.key([__file__, recursion.__file__], modes, time_step, hold, offsets)
+    return Compliances(modes.table.start, modes.table.spacing, **cache.stored(
+        'compliances', digest, lambda: _compliances(modes, time_step, hold, offsets)))
 
 
-def _compliances(modes: TrackModes, time_step: float, hold: str, offsets: Array) -> Compliances:
+def _compliances(modes: TrackModes, time_step: float, hold: str, offsets: Array
+                 ) -> dict[str, NDArray[Any]]:
+    """Arrays of the compliances: a quarter of a second of work."""
     bay, n = modes.bay, offsets.size
     inner = np.mod(pieces(modes.table, PIECES)[None, :-1] - offsets[:, None], bay.spacing).ravel()
     breaks = np.unique(np.round(np.concatenate([[0.0], inner, [bay.spacing]]), 10))
@@ -114,16 +106,15 @@ def _compliances(modes: TrackModes, time_step: float, hold: str, offsets: Array)
                 at = number[w] - number[v] == apart
                 values[k, at] += np.einsum('xi,ij,xj->x', shape[w][at],
                                            modes.remainder[apart % modes.bays], shape[v][at])
-    return Compliances(bay.start, bay.spacing, breaks, first_guess(breaks, bay.spacing),
-                       first.astype(np.int64), second.astype(np.int64), len(breaks) - 1,
-                       (values.reshape(first.size, -1, 7) @ fit.T).reshape(-1, 7))
+    return {'breaks': breaks, 'guess': first_guess(breaks, bay.spacing), 'first': first,
+            'second': second, 'coefficients': values.reshape(first.size, -1, 7) @ fit.T}
 
 
 @njit(cache=True, nogil=True, fastmath=True, _nrt=False)
-def polynomial(c, row, s):
-    """Sum of c[row, n] s^n over seven terms."""
-    return (((((c[row, 6] * s + c[row, 5]) * s + c[row, 4]) * s + c[row, 3]) * s
-             + c[row, 2]) * s + c[row, 1]) * s + c[row, 0]
+def polynomial(c, k, row, s):
+    """Sum of c[k, row, n] s^n over seven terms."""
+    return (((((c[k, row, 6] * s + c[k, row, 5]) * s + c[k, row, 4]) * s + c[k, row, 3]) * s
+             + c[k, row, 2]) * s + c[k, row, 1]) * s + c[k, row, 0]
 
 
 @njit(cache=True, nogil=True, inline='always')
@@ -131,7 +122,7 @@ def compliance_at(table, x, out):
     """Compliance matrix (n, n) [m/N] with the reference point at x [m]."""
     _, interval, s = locate(table, x)
     for k in range(table.first.size):
-        value = polynomial(table.coefficients, k * table.intervals + interval, s)
+        value = polynomial(table.coefficients, k, interval, s)
         out[table.first[k], table.second[k]] = value
         out[table.second[k], table.first[k]] = value
 
