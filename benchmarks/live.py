@@ -24,17 +24,22 @@ from typing import Any
 
 import live_soak
 import numpy as np
-import rclpy
 import yaml
 from live_plots import plot_latency, plot_memory
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import PointCloud2
 
 from railtrack_ros.bags.codec import decode_diagnostics, decode_stamp
 from railtrack_ros.bags.message_types import LIVE
 from railtrack_ros.cli.benchmark import processor
-from railtrack_ros.node.processes import Domain, Process, Processes, ros_parameters, transport
+from railtrack_ros.node.client import client
+from railtrack_ros.node.processes import (
+    Domain,
+    Process,
+    Processes,
+    resident_memory,
+    ros_parameters,
+    transport,
+)
 from railtrack_ros.node.qos import STREAM
 from railtrack_ros.paths import share_directory
 
@@ -102,22 +107,6 @@ class Watched:
 
 
 @contextmanager
-def listener(environment: dict[str, str]) -> Iterator[tuple[Any, SingleThreadedExecutor]]:
-    """A node in this process that listens."""
-    os.environ.update(environment)
-    context = rclpy.Context()
-    rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
-    node = rclpy.create_node('benchmark', context=context)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    try:
-        yield node, executor
-    finally:
-        node.destroy_node()
-        context.try_shutdown()
-
-
-@contextmanager
 def live_system(folder: Path, vehicle: str, rate: float, echo: bool) -> Iterator[dict[str, Any]]:
     """Vehicle, node and echo as processes, and a listener, until the vehicle is running."""
     domain = Domain()
@@ -125,7 +114,8 @@ def live_system(folder: Path, vehicle: str, rate: float, echo: bool) -> Iterator
         [str(HERE), *filter(None, [os.environ.get('PYTHONPATH')])])}
     watched = Watched()
     try:
-        with Processes(environment, folder) as processes, listener(environment) as (node, executor):
+        os.environ.update(environment)
+        with Processes({}, folder) as processes, client('benchmark') as (node, executor):
             ready = []
 
             def listen(severity: str, text: str) -> None:
@@ -171,12 +161,6 @@ def live_system(folder: Path, vehicle: str, rate: float, echo: bool) -> Iterator
         domain.close()
 
 
-def resident(pid: int) -> float:
-    """Memory of a process [bytes]."""
-    pages = int(Path(f'/proc/{pid}/statm').read_text().split()[1])
-    return float(pages * os.sysconf('SC_PAGE_SIZE'))
-
-
 def watch(vehicle: str, rate: float, duration: float, echo: bool = True) -> Watched:
     """Watch a run of so many seconds after the warm-up."""
     with tempfile.TemporaryDirectory() as name:
@@ -197,7 +181,7 @@ def watch(vehicle: str, rate: float, duration: float, echo: bool = True) -> Watc
                     next_look += 1.0
                     watched.seconds.append(passed)
                     watched.processor.append(process.processor_time() or 0.0)
-                    watched.memory.append(resident(process.pid))
+                    watched.memory.append(float(resident_memory(process.pid)))
             for child in list(system['processes']._running):
                 if child.name != 'vehicle':
                     child.stop()

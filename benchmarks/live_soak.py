@@ -6,9 +6,7 @@ the blocks through DDS is left out. Two axle boxes at 2.56 kHz in blocks of 0.1 
 
 from __future__ import annotations
 
-import os
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,19 +18,13 @@ from rclpy.signals import SignalHandlerOptions
 from railtrack_ros.bags.codec import SECOND, WaveformBlock, encode_speed, encode_waveform
 from railtrack_ros.bags.message_types import LIVE
 from railtrack_ros.node.playback import restamped
-from railtrack_ros.node.processes import Domain
+from railtrack_ros.node.processes import Domain, resident_memory
 from railtrack_ros.node.track_estimator import TrackEstimator
 from railtrack_ros.paths import share_directory
 
 RATE, BLOCK, SPEED = 2560.0, 0.1, 25.0
 # Different blocks that are sent over and over again.
 BLOCKS = 50
-
-
-def resident() -> float:
-    """Memory of this process [MB]."""
-    pages = int(Path('/proc/self/statm').read_text().split()[1])
-    return pages * os.sysconf('SC_PAGE_SIZE') / 1e6
 
 
 def soak(hours: float) -> dict[str, Any]:
@@ -76,7 +68,7 @@ def _feed(node: TrackEstimator, blocks: int) -> dict[str, Any]:
         if index % max(blocks // 100, 1) == 0 or index == blocks - 1:
             health = node._estimator.health
             exact = SPEED * (index * BLOCK + (samples - 1) / RATE)
-            looks.append((index * BLOCK, resident(), health.position - exact))
+            looks.append((index * BLOCK, resident_memory() / 1e6, health.position - exact))
     health = node._estimator.health
     settled = [look for look in looks if look[0] >= 0.05 * looks[-1][0]]
     return {

@@ -5,7 +5,6 @@
 
 from launch import LaunchDescription
 from launch.actions import OpaqueFunction, Shutdown
-from launch_ros.actions import Node
 
 from railtrack_ros.node import launching
 from railtrack_ros.node.launching import Argument
@@ -23,26 +22,32 @@ RUN = (
     Argument('loop', 'begin again at the end of the run', 'false', bool),
 )
 
+# Not left to the parameter file: both nodes shall have the same.
+CASE = (
+    Argument('track', 'shipped track or YAML file', 'mainline_soft_pads'),
+    Argument('vehicle', 'shipped vehicle or YAML file', 'measurement_coach'),
+    Argument('start_position', 'track position at the first sample, m', '0', float),
+)
+
+# The first start on a machine compiles, s.
+PATIENCE = 600.0
+
 
 def nodes(context):
-    """Both nodes get the same track, vehicle and start position."""
-    shared = launching.values(context, launching.ESTIMATOR)
-    same = {name: shared[name] for name in ('track', 'vehicle', 'start_position')
-            if name in shared}
-    vehicle = Node(
-        package=launching.PACKAGE,
-        executable='virtual_vehicle',
-        name='virtual_vehicle',
-        namespace=shared.get('namespace', ''),
-        output='screen',
-        parameters=[{**launching.values(context, RUN), **same}],
-        on_exit=[Shutdown(reason='the run is over')],
-    )
-    return [launching.estimator(context), vehicle]
+    given = launching.values(context, launching.COMMON)
+    case = launching.values(context, CASE)
+    vehicle = launching.node(
+        given, 'virtual_vehicle', [{**launching.values(context, RUN), **case,
+                                    'patience': PATIENCE}],
+        on_exit=[Shutdown(reason='the run is over')])
+    estimator = launching.estimator(
+        given, {**case, 'acceleration_topic': 'axle_box_acceleration', 'speed_topic': 'speed'},
+        on_exit=[Shutdown(reason='the estimator has ended')])
+    return [estimator, vehicle]
 
 
 def generate_launch_description():
     return LaunchDescription([
-        *launching.declared((*RUN, *launching.ESTIMATOR)),
+        *launching.declared((*RUN, *CASE, *launching.COMMON)),
         OpaqueFunction(function=nodes),
     ])

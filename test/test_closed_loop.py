@@ -100,6 +100,19 @@ def test_a_faulty_sensor_is_told_by_the_residual_of_its_own_box(measured):
         assert found['trail'][band].share > 0.3
 
 
+def test_samples_too_far_apart_for_a_forward_run_are_estimated_without_a_test():
+    """Sensors of 1 kHz: the wheel on its contact spring is faster than they can follow."""
+    estimator = Estimator(TRACK, BOGIE)
+    a = np.random.default_rng(2).normal(0.0, 3.0, (1500, 2))
+    for k in range(-10, 152):
+        estimator.add_speed(START + k * S // 100, 25.0)
+    for k in range(0, 1500, 50):
+        block = estimator.process(START + k * S // 1000, np.arange(50) / 1000.0,
+                                  {'lead': a[k:k + 50, 0], 'trail': a[k:k + 50, 1]})
+    assert np.isfinite(block.irregularity['trail']).all()
+    assert not estimator.model_residual()
+
+
 def test_a_dead_box_leaves_nothing_to_test(measured):
     dead = measured.copy()
     dead[:, 1] = np.nan

@@ -104,14 +104,19 @@ def test_every_argument_is_described_and_every_file_starts_the_estimator(name):
 
 def test_an_argument_that_was_given_beats_the_parameter_file():
     _, [node] = start('live.launch.py', track='blanco_table_3_1', start_position='120',
-                      namespace='coach7', use_sim_time='true', speed_topic='/gnss/speed')
+                      namespace='coach7', use_sim_time='true', speed_topic='/gnss/speed',
+                      autostart='false', respawn='true', log_level='warn')
     found = parameters(node)
     assert found['track'] == 'blanco_table_3_1'
     assert found['start_position'] == 120.0
     assert isinstance(found['start_position'], float)
     assert found['use_sim_time'] is True
+    assert found['autostart'] is False
+    # As a parameter: a remapping would miss the topics of single samples, and those of the file.
+    assert found['speed_topic'] == '/gnss/speed'
     assert node.options['namespace'] == 'coach7'
-    assert node.options['remappings'] == [('speed', '/gnss/speed')]
+    assert node.options['respawn'] is True
+    assert node.options['ros_arguments'] == ['--log-level', 'warn']
 
 
 def test_a_replay_needs_a_recording():
@@ -136,6 +141,34 @@ def test_vehicle_and_estimator_agree_on_the_virtual_run():
     assert vehicle.options['on_exit']
 
 
+def test_a_virtual_run_does_not_depend_on_the_case_of_the_parameter_file(tmp_path):
+    """The vehicle does not read it: both would have another track or meet on no topic."""
+    path = tmp_path / 'mine.yaml'
+    path.write_text('/**:\n  ros__parameters:\n    track: mine\n    start_position: 5.0\n'
+                    '    speed_topic: elsewhere\n')
+    _, [estimator, vehicle] = start('virtual.launch.py', params_file=str(path))
+    found, sent = parameters(estimator), vehicle.options['parameters'][0]
+    for name in ('track', 'vehicle', 'start_position'):
+        assert found[name] == sent[name]
+    assert (found['acceleration_topic'], found['speed_topic']) == ('axle_box_acceleration', 'speed')
+
+
+@pytest.mark.parametrize('name', FILES)
+def test_every_value_that_is_passed_on_is_a_parameter_of_the_estimator(name):
+    from railtrack_ros.node.track_estimator import SETTINGS
+
+    _, [estimator, *_] = start(name, **{'bag': 'x'} if 'replay' in name else {'track': 'y'})
+    known = {item.name: item.kind for item in SETTINGS} | {'use_sim_time': bool}
+    for key, value in estimator.options['parameters'][1].items():
+        assert type(value) is known[key]
+
+
+def test_a_parameter_file_that_is_not_there_is_refused_by_name(tmp_path):
+    """rcl would only tell that it cannot be opened."""
+    with pytest.raises(InputError, match='params_file: there is no file .*nowhere'):
+        start('live.launch.py', params_file=str(tmp_path / 'nowhere.yaml'))
+
+
 def test_the_virtual_vehicle_knows_all_that_it_is_given():
     from railtrack_ros.node.virtual_vehicle import SETTINGS
 
@@ -146,11 +179,26 @@ def test_the_virtual_vehicle_knows_all_that_it_is_given():
 
 
 def test_a_replay_plays_the_inputs_only_and_on_the_time_of_the_recording():
-    _, [estimator, player] = start('replay.launch.py', bag='run.mcap', rate='2')
+    _, [estimator, player] = start('replay.launch.py', bag='run.mcap', rate='2', namespace='coach7',
+                                   acceleration_topic='daq/boxes')
     words = player.options['cmd']
     assert words[1:4] == ['-m', 'railtrack_ros.cli.main', 'play']
-    assert words[4:] == ['run.mcap', '--rate', '2', '--topics', '/axle_box_acceleration', '/speed']
-    assert parameters(estimator)['use_sim_time'] is True
+    assert words[4:] == ['run.mcap', '--rate', '2.0', '--wait-for', '/coach7/track_estimator',
+                         '--topics', '/daq/boxes', '/speed']
+    found = parameters(estimator)
+    assert found['use_sim_time'] is True
+    # Whatever its namespace, the node listens to the topics of the recording.
+    assert (found['acceleration_topic'], found['speed_topic']) == ('/daq/boxes', '/speed')
+
+
+@pytest.mark.parametrize('name', ['replay.launch.py', 'virtual.launch.py'])
+def test_a_run_ends_when_either_of_its_processes_ends(name):
+    _, started = start(name, **{'bag': 'run.mcap'} if 'replay' in name else {})
+    assert len(started) == 2
+    kind = sys.modules['launch.actions'].Shutdown
+    assert all(isinstance(action, kind) for process in started
+               for action in process.options['on_exit'])
+    assert all(process.options['on_exit'] for process in started)
 
 
 @pytest.mark.parametrize(('name', 'value'), [('start_position', 'there'), ('use_sim_time', '1')])

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import deque
 
 import pytest
 from node_bench import BOX, Bench, context_in
@@ -20,7 +21,7 @@ def shown(view, width=160):
     from rich.console import Console
 
     console = Console(width=width, record=True, file=open(os.devnull, 'w'))  # noqa: SIM115
-    console.print(page(view))
+    console.print(page(view, width))
     return console.export_text()
 
 
@@ -42,10 +43,33 @@ def test_the_page_shows_forces_bands_and_what_is_wrong():
         'axle box axle1_left': Status(1, '', 'saturated'),
     }
     text = shown(view)
-    for words in ('ERROR', '80 ▁▂█', '12.5', '30-100 mm', '1234.5 m', 'WARN saturated',
-                  'nobody publishes'):
+    for words in ('ERROR', '80 ▁▂█', '12.5', '30-100 mm', '1234.5 m',
+                  'WARN axle box axle1_left: saturated', 'nobody publishes'):
         assert words in text
     assert view.level == 2
+    # The worst comes first, what is well last.
+    assert text.index('nobody publishes') < text.index('saturated') < text.index('speed: 20 m/s')
+
+
+@pytest.mark.parametrize('width', [40, 60, 80, 120, 200])
+def test_a_small_terminal_cuts_no_name_number_or_state(width):
+    view = View('/track_estimator', heard=time.monotonic())
+    for axle in range(1, 5):
+        name = f'axle{axle}_right'
+        view.boxes[name] = BoxView()
+        view.boxes[name].forces.extend([57e3, 160e3])
+        for band in ('10_30', '30_100', '100_300', '300_1000'):
+            view.boxes[name].bands[band] = deque([1.0, 1234.5])
+        view.parts[f'axle box {name}'] = Status(2, '', 'stuck')
+    lines = shown(view, width).splitlines()
+    assert all(len(line) <= width for line in lines)
+    for axle in range(1, 5):
+        [row] = [line for line in lines if line.startswith(f'axle{axle}_right')]
+        assert '160' in row
+        assert '1234.5' in row
+        assert row.rstrip().endswith('ERROR')
+        assert '…' not in row
+    assert '…' not in next(line for line in lines if line.startswith('axle box'))
 
 
 def test_what_is_old_is_not_taken_for_healthy():

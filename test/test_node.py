@@ -1,6 +1,7 @@
 """The live nodes: real ones over DDS on the loopback interface, in a domain of their own."""
 
 import array
+import copy
 import random
 import struct
 import time
@@ -170,11 +171,11 @@ def adversarial(bench, count):
     ]
     for name, value in (('datatype', 2), ('datatype', 99), ('count', 0), ('count', 2**31),
                         ('offset', 2**31), ('offset', 3), ('name', ''), ('name', 't')):
-        message = bench.block(10**6)
+        message = copy.deepcopy(bench.block(10**6))  # messages share the fields
         setattr(message.fields[1], name, value)
         cases.append(serialize_message(message))
     for values in ([np.nan] * SAMPLES, [np.inf] * SAMPLES, [3e38] * SAMPLES):
-        message = bench.block(10**6, values)
+        message = copy.deepcopy(bench.block(10**6, values))
         message.fields[0].name = 'time'
         cases.append(serialize_message(message))
     for t in (np.full(SAMPLES, np.nan), np.full(SAMPLES, np.inf), np.zeros(SAMPLES),
@@ -311,6 +312,28 @@ def test_settings_reach_the_estimator(domain):
             bench.close()
 
 
+def test_nothing_is_computed_for_the_first_block_at_the_sample_rate_it_was_configured_for(
+        domain, monkeypatch, tmp_path):
+    from railtrack_ros.dynamics import recursive
+
+    computed = []
+    compute = recursive._compliances
+    monkeypatch.setattr(recursive, '_compliances',
+                        lambda *given: computed.append(given[1]) or compute(*given))
+    monkeypatch.setenv('NUMBA_CACHE_DIR', str(tmp_path))  # nothing there from earlier runs
+    with context_in(domain) as context:
+        bench = Bench(context, sample_rate=RATE)
+        try:
+            bench.start()
+            prepared = list(computed)
+            assert prepared == [1.0 / RATE]
+            bench.run(2)
+            bench.spin_until(lambda: len(bench.forces()) == 2)
+            assert computed == prepared
+        finally:
+            bench.close()
+
+
 def test_an_unknown_parameter_is_told_by_name(domain):
     from railtrack_ros.node import parameters
 
@@ -348,6 +371,8 @@ def test_a_change_that_could_not_take_effect_is_refused(bench):
     assert 'deactivate' in refused.reason
     assert not change('latency_limit', -1.0).successful
     assert change('latency_limit', 0.1).successful
+    # A file with all parameters may be loaded: what stays as it is is no change.
+    assert change('cut_on_wavelength', 3.0).successful
     bench.estimator.trigger_deactivate()
     bench.estimator.trigger_cleanup()
     assert change('cut_on_wavelength', 2.0).successful

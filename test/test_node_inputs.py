@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import AccelStamped, PointStamped
-from node_bench import BOX, RELIABLE, START_NS, Bench, context_in
+from node_bench import BOX, RELIABLE, START_NS, Bench, context_in, speed_stamp
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import Imu, NavSatFix
 
@@ -169,6 +169,15 @@ def test_thresholds_may_change_while_it_runs(make_bench):
     assert node._limits.latency_limit == 0.2
     assert node._watch.full_scale == 500.0
     assert node._shed_delay == 2.0
+
+
+def test_a_speed_that_no_train_reaches_is_refused_and_is_no_slip(make_bench):
+    bench = make_bench().start()
+    bench.run(60)
+    bench.spin_until(lambda: len(bench.forces()) == 60)
+    bench.send_speed(speed_stamp(60), 1e9)
+    bench.spin_until(lambda: bench.estimator._estimator.health.refused_speeds == 1)
+    assert bench.estimator._speed_watch.take() < 0.1
 
 
 def test_garbage_on_the_other_inputs_does_no_harm(make_bench):

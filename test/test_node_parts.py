@@ -55,7 +55,7 @@ def test_a_refusal_is_told_at_once_and_then_only_from_time_to_time():
     assert said == [
         '/speed: message skipped: value 0',
         '/other: message skipped: no good',
-        '/speed: message skipped: value again (49 more like this since)',
+        '/speed: message skipped: value again (49 more since)',
     ]
     assert guard.refused == {'/speed': 51, '/other': 1}
     assert guard.last['/speed'] == 'value again'
@@ -132,7 +132,7 @@ def test_all_is_well():
 
 @pytest.mark.parametrize(('part', 'level', 'words', 'changes'), [
     ('acceleration', ERROR, 'no blocks on', {'blocks': 0}),
-    ('acceleration', ERROR, 'no waveforms: field t', {
+    ('acceleration', ERROR, 'cannot be used: field t', {
         'refused': {ACCELERATION: 3}, 'last_refusal': {ACCELERATION: 'field t'}}),
     ('acceleration', WARN, '4 blocks were lost', {'lost': 4}),
     ('acceleration', WARN, '2 blocks are repeated', {'stamps': Stamps(duplicates=2)}),
@@ -157,7 +157,8 @@ def test_all_is_well():
     ('speed', ERROR, 'no speed', {'speed_messages': 0}),
     ('speed', ERROR, 'no speed', {'blocks': 0, 'speed_overdue': True}),
     ('speed', ERROR, 'no speed', {'speed_state': 'none', 'speed_overdue': True}),
-    ('speed', ERROR, 'not a plausible speed', {'refused_speeds': 1}),
+    ('speed', ERROR, 'not a plausible speed', {
+        'refused_speeds': 1, 'last_refusal': {SPEED: 'of an earlier one'}}),
     ('speed', WARN, 'raise speed_delay', {'late_speeds': 1}),
     ('axle box axle1_left', ERROR, 'no channel axle1_left', {
         'dead': ('axle1_left',), 'missing_blocks': {'axle1_left': 5}}),
@@ -218,6 +219,12 @@ def test_all_that_is_wrong_is_named_the_worst_first():
     assert status.level == ERROR
     assert status.message.index('overload') < status.message.index('lost')
     assert '1 gaps' in status.message
+
+
+def test_a_missing_channel_is_still_told_as_such_when_the_blocks_have_stopped():
+    gone = {'dead': ('axle1_left',), 'missing_blocks': {'axle1_left': 5}}
+    status = diagnosed(picture(**gone), picture(**gone))['axle box axle1_left']
+    assert 'no channel axle1_left' in status.message
 
 
 def test_what_was_wrong_before_is_forgotten():

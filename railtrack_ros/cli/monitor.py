@@ -15,6 +15,7 @@ from railtrack_ros.parameters import POSITIVE
 
 if TYPE_CHECKING:
     from rich.console import Group
+    from rich.table import Table
 
     from railtrack_ros.node.monitor import View
 
@@ -24,6 +25,14 @@ BLOCKS = '▁▂▃▄▅▆▇█'
 LEVELS = ('OK', 'WARN', 'ERROR', 'STALE')
 COLOURS = ('green', 'yellow', 'bold red', 'dim')
 REFRESH = 0.25  # s
+
+# Characters of a number, and of the shortest and longest sparkline.
+NUMBER = 6
+SHORTEST, LONGEST = 3, 24
+
+COMFORTABLE = 80  # columns; below it they stand closer together
+
+BOX = 'axle box '
 
 # Without --seconds on something that is no terminal: long enough for every topic to speak.
 SNAPSHOT = 3.0
@@ -63,7 +72,7 @@ def run(args: argparse.Namespace) -> Outcome:
                 executor.spin_once(timeout_sec=0.05)
                 if screen and passed - shown > REFRESH:
                     shown = passed
-                    screen.update(page(monitor.view), refresh=True)
+                    screen.update(page(monitor.view, wide.width), refresh=True)
         except KeyboardInterrupt:
             pass
         finally:
@@ -71,7 +80,7 @@ def run(args: argparse.Namespace) -> Outcome:
                 screen.stop()
         view = monitor.view
     if not args.json:
-        wide.print(page(view))
+        wide.print(page(view, wide.width))
     if view.stale:
         raise InputError(f'{node}: nothing was heard of it: see `--node`, ROS_DOMAIN_ID and '
                          'whether it is active')
@@ -86,59 +95,76 @@ def _only(found: Sequence[str]) -> str:
     return found[0]
 
 
-def page(view: View) -> Group:
-    """Return all that is shown."""
+def page(view: View, width: int = 160) -> Group:
+    """Return all that is shown, in so many columns: numbers by axle box, then what is wrong.
+
+    What matters least gives way in a small terminal: the sparklines become shorter, and what is
+    well comes last, where it may be cut off.
+    """
     from rich.console import Group
-    from rich.table import Table
     from rich.text import Text
 
     level = view.level
     values = {name: dict(status.values) for name, status in view.parts.items()}
     speed, load, latency = (values.get(name, {}) for name in ('speed', 'load', 'latency'))
     head = Text.assemble(
-        (f' {LEVELS[level]} ', f'reverse {COLOURS[level]}'), f'  {view.node}   ',
-        f'{speed.get("speed_m_s", "?")} m/s at {speed.get("position_m", "?")} m   ',
-        f'latency {latency.get("p50_ms", "?")} / {latency.get("p99_ms", "?")} ms (p50, p99)   ',
-        f'{_percent(load.get("core_share"))} of a core   {load.get("memory_mb", "?")} MB')
-    bands = sorted({band for box in view.boxes.values() for band in box.bands},
-                   key=lambda band: int(band.split('_')[0]))
-    table = Table(expand=False, pad_edge=False, header_style='bold')
-    table.add_column('axle box')
-    table.add_column('largest force [kN]', no_wrap=True)
-    for band in bands:
-        table.add_column(f'{band.replace("_", "-")} mm [µm]', no_wrap=True)
-    table.add_column('last section')
-    table.add_column('health')
-    for name, box in sorted(view.boxes.items()):
-        status = view.parts.get(f'axle box {name}')
-        section = view.corrugation.get(name)
-        table.add_row(
-            name, _cell([1e-3 * force for force in box.forces], 0),
-            *(_cell(box.bands.get(band, ()), 1) for band in bands),
-            Text(section.message, style=COLOURS[section.level] if section.level else '')
-            if section else '', _health(status))
-    rows: list[Any] = [head, table]
-    for name, status in view.parts.items():
-        if not name.startswith('axle box'):
-            rows.append(Text.assemble(
-                (f'{LEVELS[status.level]:>6} ', COLOURS[status.level]), f'{name}: ',
-                status.message))
+        (f' {LEVELS[level]} ', f'reverse {COLOURS[level]}'), f' {view.node}  ',
+        f'{speed.get("speed_m_s", "?")} m/s  {speed.get("position_m", "?")} m  ',
+        f'latency {latency.get("p50_ms", "?")}, {latency.get("p99_ms", "?")} ms (p50, p99)  ',
+        f'{_percent(load.get("core_share"))} of a core  {load.get("memory_mb", "?")} MB')
+    rows: list[Any] = [head, _table(view, width)]
+    told = [(status.level, name, status.message) for name, status in view.parts.items()
+            if status.level or not name.startswith(BOX)]
+    told += [(status.level, f'last section of {name}', status.message)
+             for name, status in view.corrugation.items() if status.level]
+    for of_level, name, message in sorted(told, key=lambda part: -part[0]):
+        line = Text.assemble((f'{LEVELS[of_level]:>5} ', COLOURS[of_level]), f'{name}: ', message)
+        if not of_level:
+            line.no_wrap, line.overflow = True, 'ellipsis'
+        rows.append(line)
     return Group(*rows)
 
 
-def _health(status: Any) -> Any:
+def _table(view: View, width: int) -> Table:
+    """Return the numbers of the axle boxes, with sparklines as long as there is room for."""
+    from rich.table import Table
     from rich.text import Text
 
-    if status is None:
-        return ''
-    return Text(f'{LEVELS[status.level]} {status.message}', style=COLOURS[status.level])
+    bands = sorted({band for box in view.boxes.values() for band in box.bands},
+                   key=lambda band: int(band.split('_')[0]))
+    gap = 2 if width >= COMFORTABLE else 1
+    first, last = max(map(len, view.boxes), default=8) + gap, 5
+    # A column that would be cut is not shown at all.
+    widest = max((len(band) for band in bands), default=0)
+    bands = bands[:max((width - first - last) // (max(widest, 8) + gap) - 1, 0)]
+    room = (width - first - last) // (len(bands) + 1) - gap
+    length = min(room - NUMBER - 1, LONGEST)
+    table = Table(box=None, pad_edge=False, header_style='bold', padding=(0, gap, 0, 0))
+    table.add_column('axle box', no_wrap=True)
+    table.add_column('force kN', no_wrap=True)
+    for band in bands:
+        unit = ' mm' if room >= widest + 3 else ''
+        table.add_column(band.replace('_', '-') + unit, no_wrap=True)
+    table.add_column('', no_wrap=True)
+    for name, box in sorted(view.boxes.items()):
+        status = view.parts.get(f'{BOX}{name}')
+        state = '' if status is None else LEVELS[status.level]
+        table.add_row(
+            name, _cell([1e-3 * force for force in box.forces], 0, length),
+            *(_cell(box.bands.get(band, ()), 1, length) for band in bands),
+            Text(state, style=COLOURS[status.level] if status else ''))
+    caption = 'largest force in 0.1 s' + (
+        ', RMS of the irregularity by wavelength in µm' if bands else '')
+    table.caption, table.caption_justify = caption, 'left'
+    return table
 
 
-def _cell(values: Iterable[float], digits: int) -> str:
+def _cell(values: Iterable[float], digits: int, length: int) -> str:
     numbers = list(values)
     if not numbers:
         return ''
-    return f'{numbers[-1]:7.{digits}f} {sparkline(numbers[-16:])}'
+    number = f'{numbers[-1]:{NUMBER}.{digits}f}'
+    return f'{number} {sparkline(numbers[-length:])}' if length >= SHORTEST else number
 
 
 def _percent(text: str | None) -> str:

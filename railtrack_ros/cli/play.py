@@ -19,6 +19,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='times as fast as it was recorded (default 1)')
     parser.add_argument('--topics', nargs='+', default=[], metavar='TOPIC',
                         help='publish only these (default: all)')
+    parser.add_argument('--wait-for', metavar='NODE',
+                        help='begin when this node has subscribed, however long it takes to '
+                             'prepare itself (default: with the first subscriber, at the latest '
+                             'after 10 s)')
 
 
 def run(args: argparse.Namespace) -> Outcome:
@@ -31,7 +35,8 @@ def run(args: argparse.Namespace) -> Outcome:
     with common.progress(seconds, 's', 'playing') as bar:
         summary = play(args.bag, args.rate, args.topics,
                        say=lambda line: print(line, file=sys.stderr),
-                       progress=lambda seconds: bar.update(seconds - bar.n))
+                       progress=lambda seconds: bar.update(seconds - bar.n),
+                       reader=args.wait_for)
     count = sum(summary['messages'].values())
     lines = [f'{args.bag}: {count} messages on {len(summary["messages"])} topics published']
     return Outcome(summary, lines)

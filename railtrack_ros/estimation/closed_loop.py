@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from railtrack_ros.compiled import njit
+from railtrack_ros.dynamics.contact import longest_time_step
 from railtrack_ros.dynamics.forward import StepFailure
 from railtrack_ros.dynamics.modes import TrackModes
 from railtrack_ros.dynamics.recursive import RecursiveForward
@@ -82,10 +83,11 @@ class ClosedLoop:
         self._direction = 1.0
         self._due, self._done = self._length, 0
         # What predicts, one model a line: costly to make, so a stretch leaves them to the next.
+        # None where the samples are too far apart for a forward run: sensors of about 1 kHz.
         self._models: list[RecursiveForward] = []
         if before is not None and before.time_step == time_step:
             self._models = before._models
-        elif offsets.size > 1:
+        elif offsets.size > 1 and time_step <= longest_time_step(vehicle):
             self._models = [RecursiveForward(modes, vehicle, offsets, time_step, 0.0, hold='linear')
                             for _ in range(self._lines)]
         self._testing = False
@@ -103,7 +105,7 @@ class ClosedLoop:
         place (n,): of the reference point on the sleepers [m]; speed (n,) [m/s]; acceleration
         (n, lines * wheels) of the boxes, NaN where not measured; irregularity of the same shape.
         """
-        if self.offsets.size < 2:
+        if not self._models:
             return
         shape = (place.size, self._lines, self.offsets.size)
         acceleration, irregularity = acceleration.reshape(shape), irregularity.reshape(shape)

@@ -64,13 +64,14 @@ class Setting:
         return number
 
 
-def _setting(
+def setting_field(
     default: Any,
     description: str,
     unit: str = '',
     allowed: Range = ANY,
     choices: tuple[str, ...] = (),
 ) -> Any:
+    """Return the field of a dataclass that :func:`declared` makes a setting of."""
     metadata = {'description': description, 'unit': unit, 'range': allowed, 'choices': choices}
     return field(default=default, metadata=metadata)
 
@@ -96,67 +97,67 @@ class _Checked:
 class EstimatorSettings(_Checked):
     """Everything that the estimate depends on besides the track, the vehicle and the data."""
 
-    start_position: float = _setting(
+    start_position: float = setting_field(
         0.0,
         'track position of the reference point at the first sample; sleeper centres lie at '
         'multiples of the sleeper spacing, so it also fixes the phase of the sleepers',
         'm',
         Range(minimum=-1e7, maximum=1e7),
     )
-    cut_on_wavelength: float = _setting(
+    cut_on_wavelength: float = setting_field(
         3.0,
         'cut-on of the irregularity: causal Butterworth high-pass of order 4 in wavelength',
         'm',
         Range(minimum=0.1, maximum=30.0),
     )
-    minimum_speed: float = _setting(
+    minimum_speed: float = setting_field(
         1.0,
         'below this speed no irregularity is estimated',
         'm/s',
         Range(minimum=0.1, maximum=20.0),
     )
-    input_includes_gravity: bool = _setting(
+    input_includes_gravity: bool = setting_field(
         False, 'the sensors report +9.81 m/s2 at rest (REP-145), which is subtracted'
     )
-    speed_delay: float = _setting(
+    speed_delay: float = setting_field(
         0.02,
         'a block uses the speed messages stamped up to its end minus this delay, which is the '
         'time that speed messages have to arrive',
         's',
         Range(minimum=0.0, maximum=1.0),
     )
-    speed_timeout: float = _setting(
+    speed_timeout: float = setting_field(
         2.5,
         'longest time over which the speed is extrapolated; beyond it nothing is estimated',
         's',
         Range(minimum=0.05, maximum=60.0),
     )
-    gap_tolerance: float = _setting(
+    gap_tolerance: float = setting_field(
         0.002,
         'a block whose stamp is off the expected time by more than this starts the estimate anew',
         's',
         Range(minimum=1e-5, maximum=0.1),
     )
-    maximum_frequency: float = _setting(
+    maximum_frequency: float = setting_field(
         4500.0,
         'track modes up to this frequency are followed one by one, the rest all together',
         'Hz',
         Range(minimum=500.0, maximum=20000.0),
     )
-    bays_in_ring: int = _setting(
+    bays_in_ring: int = setting_field(
         0,
         'sleeper bays of the periodic track; 0: as many as the vehicle and the decay of the track '
         'need',
         '',
         Range(minimum=0, maximum=501),
     )
-    elements_per_bay: int = _setting(
+    elements_per_bay: int = setting_field(
         6,
         'rail elements between two sleepers, those over the pad included',
         '',
         Range(minimum=4, maximum=32),
     )
-    local_system: str = _setting(
+    local_system: str = setting_field(
         'dynamic',
         'what represents the rail inside its elements',
         choices=LOCAL_SYSTEMS,
@@ -172,30 +173,30 @@ class EstimatorSettings(_Checked):
 class IndicatorSettings(_Checked):
     """How the irregularity is summed up in sections of track."""
 
-    section_length: float = _setting(
+    section_length: float = setting_field(
         10.0,
         'length of a section; sections begin at its multiples',
         'm',
         Range(minimum=1.0, maximum=1000.0),
     )
-    minimum_valid: float = _setting(
+    minimum_valid: float = setting_field(
         0.5,
         'a figure of a section is given if at least this share of the section is valid for it',
         '',
         Range(above=0.0, maximum=1.0),
     )
-    minimum_prominence: float = _setting(
+    minimum_prominence: float = setting_field(
         9.0,
         'a dominant wavelength is named if its level above the ISO 3095 spectrum exceeds the '
         'median over all wavelengths by this, which random irregularity hardly ever does',
         'dB',
         NOT_NEGATIVE,
     )
-    bands: str = _setting(
+    bands: str = setting_field(
         '10-30,30-100,100-300,300-1000',
         'bands of wavelength in mm, each SHORTEST-LONGEST, separated by commas',
     )
-    limits: str = _setting(
+    limits: str = setting_field(
         'grassie_1999',
         'limits by which a section is OK, WARN or ERROR: a shipped set or a YAML file',
     )

@@ -18,13 +18,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import rclpy
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.signals import SignalHandlerOptions
 
 from railtrack_ros.bags.bag import open_bag
 from railtrack_ros.bags.writer import ACCELERATION_TOPIC, SPEED_TOPIC, Recording
 from railtrack_ros.node import track_estimator, virtual_vehicle
+from railtrack_ros.node.client import client
 from railtrack_ros.node.processes import (
     Domain,
     Process,
@@ -205,7 +204,7 @@ class _LiveDemo:
                 Processes(environment, self._logs) as processes,
                 _variables(environment),
                 Recording(self._bag, survive=True) as recording,
-                _node() as (node, executor),
+                client('railtrack_demo') as (node, executor),
             ):
                 estimator = processes.start(
                     'track_estimator', track_estimator.__name__, ros_parameters(
@@ -320,21 +319,6 @@ def _variables(environment: Mapping[str, str]) -> Iterator[None]:
                 del os.environ[name]
             else:
                 os.environ[name] = value
-
-
-@contextmanager
-def _node() -> Iterator[tuple[rclpy.node.Node, SingleThreadedExecutor]]:
-    """Give a node of this process, and end it."""
-    context = rclpy.Context()
-    rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
-    node = rclpy.create_node('railtrack_demo', context=context)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    try:
-        yield node, executor
-    finally:
-        node.destroy_node()
-        context.try_shutdown()
 
 
 def compare(live: Path, offline: Path) -> tuple[int, int]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 from railtrack_ros.bags.codec import Status
 from railtrack_ros.estimation.estimator import STANDARD_GRAVITY, Health
+from railtrack_ros.estimation.odometer import FASTEST
 from railtrack_ros.node.latency import LatencyFigures
 from railtrack_ros.node.limits import Limits
 from railtrack_ros.node.watch import Signal, Stamps
@@ -171,7 +172,7 @@ def _acceleration(change: Change, limits: Limits) -> Finding:
         remarks.append((level, text))
 
     if refused:
-        remark(ERROR, f'{refused} messages on {topic} are no waveforms: '
+        remark(ERROR, f'{refused} messages on {topic} cannot be used: '
                       f'{now.last_refusal.get(topic, "")}')
     if not blocks and not change.of('dropped_blocks') and not refused and not change.of('shed'):
         if not now.publishers.get(topic, 0):
@@ -247,7 +248,8 @@ def _speed(change: Change, limits: Limits) -> Finding:
     }
     remarks: list[Remark] = []
     if refused:
-        reason = now.last_refusal.get(topic, 'not a plausible speed')
+        reason = (now.last_refusal.get(topic, '') if change.refused(topic)
+                  else f'not a plausible speed, which is up to {FASTEST:g} m/s')
         remarks.append((ERROR, f'{refused} messages on {topic} cannot be used: {reason}: check '
                                'the odometer'))
     if not messages and not now.publishers.get(topic, 0):
@@ -354,7 +356,8 @@ def _axle_box(name: str, change: Change, vehicle: Vehicle, limits: Limits) -> Fi
     }
     remarks: list[Remark] = []
     if name in health.dead:
-        if missing > before.missing_blocks.get(name, 0):
+        # Without blocks in this period the last ones tell.
+        if missing > before.missing_blocks.get(name, 0) or (missing and not change.of('blocks')):
             reason = f'the messages carry no channel {name}: name it so in the sensor driver'
         else:
             reason = 'no sample is a number: check sensor and cable'

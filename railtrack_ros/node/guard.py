@@ -44,7 +44,7 @@ class Voice:
         if now - self._said.get(thing, -QUIET_PERIOD) < QUIET_PERIOD:
             self._unsaid[thing] += 1
             return
-        more = f' ({self._unsaid[thing]} more like this since)' if self._unsaid[thing] else ''
+        more = f' ({self._unsaid[thing]} more since)' if self._unsaid[thing] else ''
         self._said[thing], self._unsaid[thing] = now, 0
         say(f'{text}{more}')
 

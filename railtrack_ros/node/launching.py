@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from launch import LaunchContext  # type: ignore[attr-defined]  # the folder of that name
@@ -12,6 +13,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from railtrack_ros.errors import InputError
+from railtrack_ros.node.processes import transport
 from railtrack_ros.paths import config_directory
 
 PACKAGE = 'railtrack_ros'
@@ -22,13 +24,15 @@ class Argument:
     """An argument of a launch file.
 
     `kind` is bool, float, int or str. One that is left empty is not passed on, so that what the
-    parameter file says stays. One whose default is None has to be given.
+    parameter file says stays. One whose default is None has to be given. `choices` are the only
+    values, where there are any.
     """
 
     name: str
     description: str
     default: str | None = ''
     kind: type = str
+    choices: tuple[str, ...] = ()
 
     def read(self, text: str) -> Any:
         """Return the value in its kind, None where it was left empty."""
@@ -45,30 +49,30 @@ class Argument:
             raise InputError(f'{self.name}: expected a number, got {text!r}') from None
 
 
+AS_THE_FILE = '(empty: as the parameter file says)'
+
 PARAMETER_FILE = Argument(
     'params_file', 'YAML file with parameters of the estimator',
     str(config_directory() / 'estimator.yaml'))
 NAMESPACE = Argument('namespace', 'namespace of nodes and input topics, one for each vehicle')
-ACCELERATION_TOPIC = Argument(
-    'acceleration_topic', 'topic of the axle-box acceleration', 'axle_box_acceleration')
-SPEED_TOPIC = Argument('speed_topic', 'topic of the speed', 'speed')
-TRACK = Argument('track', 'shipped track or YAML file (empty: as the parameter file says)')
-VEHICLE = Argument('vehicle', 'shipped vehicle or YAML file (empty: as the parameter file says)')
+LOG_LEVEL = Argument('log_level', 'what the nodes say', 'info',
+                     choices=('debug', 'info', 'warn', 'error'))
+TRACK = Argument('track', f'shipped track or YAML file {AS_THE_FILE}')
+VEHICLE = Argument('vehicle', f'shipped vehicle or YAML file {AS_THE_FILE}')
 START_POSITION = Argument(
-    'start_position', 'track position at the first sample, m (empty: as the parameter file says)',
-    kind=float)
-USE_SIM_TIME = Argument('use_sim_time', 'take the time from /clock', 'false', bool)
-LOG_LEVEL = Argument('log_level', 'debug, info, warn or error', 'info')
+    'start_position', f'track position at the first sample, m {AS_THE_FILE}', kind=float)
 
-ESTIMATOR = (PARAMETER_FILE, NAMESPACE, ACCELERATION_TOPIC, SPEED_TOPIC, TRACK, VEHICLE,
-             START_POSITION, USE_SIM_TIME, LOG_LEVEL)
+# What every launch file takes, and the case in all of them that have no virtual vehicle.
+COMMON = (PARAMETER_FILE, NAMESPACE, LOG_LEVEL)
+CASE = (TRACK, VEHICLE, START_POSITION)
 
 
 def declared(arguments: Iterable[Argument]) -> list[DeclareLaunchArgument]:
     """Return the actions that declare arguments."""
     return [
         DeclareLaunchArgument(argument.name, default_value=argument.default,
-                              description=argument.description)
+                              description=argument.description,
+                              choices=list(argument.choices) or None)
         for argument in arguments
     ]
 
@@ -82,23 +86,34 @@ def values(context: LaunchContext, arguments: Iterable[Argument]) -> dict[str, A
     return {name: value for name, value in read.items() if value is not None}
 
 
-def estimator(context: LaunchContext, **overrides: Any) -> Node:
-    """Return the node `track_estimator` with the arguments of :data:`ESTIMATOR`."""
-    given = {**values(context, ESTIMATOR), **overrides}
-    parameters = ('track', 'vehicle', 'start_position', 'use_sim_time')
+def estimator(given: dict[str, Any], parameters: dict[str, Any], **options: Any) -> Node:
+    """Return the node `track_estimator`.
+
+    Parameters
+    ----------
+    given
+        Values of the arguments :data:`COMMON`.
+    parameters
+        On top of those of the parameter file.
+    options
+        Further ones of the action.
+    """
+    file = given['params_file']
+    if not Path(file).is_file():
+        raise InputError(f'params_file: there is no file {file}')
+    return node(given, 'track_estimator', [file, parameters], **options)
+
+
+def node(given: dict[str, Any], name: str, parameters: list[Any], **options: Any) -> Node:
+    """Return a node of this package in the namespace and with the log level that were given."""
     return Node(
         package=PACKAGE,
-        executable='track_estimator',
-        name='track_estimator',
+        executable=name,
+        name=name,
         namespace=given.get('namespace', ''),
         output='screen',
-        parameters=[given['params_file'], {k: given[k] for k in parameters if k in given}],
-        remappings=_remappings(given),
-        arguments=['--ros-args', '--log-level', given['log_level']],
+        parameters=parameters,
+        ros_arguments=['--log-level', given['log_level']],
+        additional_env=transport(),
+        **options,
     )
-
-
-def _remappings(given: Mapping[str, Any]) -> list[tuple[str, str]]:
-    usual = {ACCELERATION_TOPIC: 'axle_box_acceleration', SPEED_TOPIC: 'speed'}
-    return [(name, given[argument.name]) for argument, name in usual.items()
-            if given.get(argument.name, name) != name]

@@ -52,7 +52,7 @@ def foxglove(vehicle: Vehicle, node: str = NODE) -> str:
     for number, (title, lines) in enumerate(plots(vehicle, node)):
         stamped = not any(field == 'data' for _, field in lines)
         configuration[f'Plot!railtrack{number}'] = {
-            'title': title,
+            'foxglovePanelTitle': title,
             'paths': [{
                 'value': f'{topic}.{field}', 'enabled': True,
                 'timestampMethod': 'headerStamp' if stamped else 'receiveTime',
@@ -92,7 +92,8 @@ def _stacked(panels: Sequence[str]) -> Any:
 def plotjuggler(vehicle: Vehicle, node: str = NODE) -> str:
     """Return the layout of PlotJuggler as XML: forces and place in one tab, bands in another."""
     force, *bands, place = plots(vehicle, node)
-    root = Xml.Element('root')
+    # Versions of the program that ask for it take this one; the others take any.
+    root = Xml.Element('root', version='2.3.8')
     # In a dictionary, since `parent` is also an argument of the function.
     tabs = Xml.SubElement(root, 'tabbed_widget', {'parent': 'main_window', 'name': 'Main Window'})
     for name, drawn in (('forces', [force, place]), ('corrugation', bands)):

@@ -5,15 +5,17 @@ They only judge; none of them changes a result. All may change while the node ru
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
+from railtrack_ros.estimation.settings import setting_field
 from railtrack_ros.parameters import NOT_NEGATIVE, POSITIVE, Range
+
+SHARE = Range(minimum=0.0, maximum=1.0)
 
 
 def _limit(default: float, description: str, unit: str = '', allowed: Range = NOT_NEGATIVE) -> Any:
-    metadata = {'description': description, 'unit': unit, 'range': allowed, 'choices': ()}
-    return field(default=default, metadata=metadata)
+    return setting_field(default, description, unit, allowed)
 
 
 @dataclass(frozen=True)
@@ -34,16 +36,14 @@ class Limits:
     clock_offset_limit: float = _limit(
         5.0, "difference between the stamps and this node's clock that is a warning", 's', POSITIVE)
     bad_sample_limit: float = _limit(
-        0.0, 'share of samples that are no number that is no warning', '',
-        Range(minimum=0.0, maximum=1.0))
+        0.0, 'share of samples that are no number that is no warning', '', SHARE)
     stuck_limit: float = _limit(
         0.5, 'a channel with one and the same value for longer than this is stuck', 's', POSITIVE)
     full_scale: float = _limit(
         0.0, 'largest value that the sensors can measure; 0: a sensor is taken to be saturated '
         'where it holds an extreme for three samples or more', 'm/s2')
     saturation_limit: float = _limit(
-        0.001, 'share of saturated samples that is no warning', '',
-        Range(minimum=0.0, maximum=1.0))
+        0.001, 'share of saturated samples that is no warning', '', SHARE)
     offset_limit: float = _limit(
         5.0, 'mean acceleration over a second that is a warning', 'm/s2', POSITIVE)
     polarity_limit: float = _limit(
@@ -62,5 +62,4 @@ class Limits:
         0.9, 'share of a processor core used by the node that is a warning', '', POSITIVE)
     residual_limit: float = _limit(
         0.5, 'share of the acceleration of an axle box in a band of frequency that the model may '
-        'leave unexplained without a warning', '',
-        POSITIVE)
+        'leave unexplained without a warning', '', POSITIVE)

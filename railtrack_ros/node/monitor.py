@@ -11,14 +11,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
-import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 
 from railtrack_ros.bags import codec
 from railtrack_ros.bags.codec import Status
 from railtrack_ros.bags.message_types import LIVE
+from railtrack_ros.node.client import client
 from railtrack_ros.node.qos import RESULT
 
 NAME = 'railtrack_monitor'
@@ -149,16 +148,8 @@ class Monitor:
 @contextmanager
 def monitored(estimator: str) -> Iterator[tuple[Monitor, SingleThreadedExecutor]]:
     """Listen to an estimator with a node of this process; the executor is to be spun."""
-    context = rclpy.Context()
-    rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
-    node = rclpy.create_node(NAME, context=context)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    try:
+    with client(NAME) as (node, executor):
         yield Monitor(node, estimator), executor
-    finally:
-        node.destroy_node()
-        context.try_shutdown()
 
 
 def find_estimators(seconds: float) -> list[str]:

@@ -6,7 +6,7 @@ import math
 import textwrap
 
 from railtrack_ros.estimation.settings import Setting
-from railtrack_ros.node.track_estimator import SETTINGS
+from railtrack_ros.node.settings import SETTINGS
 from railtrack_ros.parameters import Range
 
 HEAD = """\

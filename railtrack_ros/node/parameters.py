@@ -105,6 +105,8 @@ def _descriptor(item: Setting, fixed: bool) -> ParameterDescriptor:
     low = max(item.range.above, item.range.minimum)
     high = min(item.range.below, item.range.maximum)
     if math.isfinite(low) or math.isfinite(high):
+        # The ranges of a descriptor are closed on both sides; these words tell a limit that is not.
+        descriptor.additional_constraints = _expected(item)
         if item.kind is float:
             largest = sys.float_info.max
             descriptor.floating_point_range = [FloatingPointRange(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import queue
 import struct
 import threading
@@ -119,6 +120,19 @@ class Playback:
     def wait_for_any(self, patience: float) -> bool:
         """Wait for a subscription on any topic, and then until no more come."""
         return self._wait(lambda: any(map(self.subscribers, self._publishers)), patience)
+
+    def wait_for_node(self, name: str) -> None:
+        """Wait for a subscription of a node of this full name, and then until no more come."""
+        parts = name.strip('/').split('/')
+        wanted = ('/' + '/'.join(parts[:-1]), parts[-1])
+
+        def subscribed() -> bool:
+            return any(
+                (reader.node_namespace, reader.node_name) == wanted
+                for publisher in self._publishers.values()
+                for reader in self.node.get_subscriptions_info_by_topic(publisher.topic_name))
+
+        self._wait(subscribed, math.inf)
 
     def _wait(self, enough: Callable[[], bool], patience: float) -> bool:
         deadline = time.monotonic() + patience

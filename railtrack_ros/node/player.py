@@ -8,14 +8,13 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-import rclpy
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 
 from railtrack_ros.bags.codec import SECOND
 from railtrack_ros.bags.message_types import LIVE
 from railtrack_ros.bags.reader import Bag, open_bag
 from railtrack_ros.errors import InputError
+from railtrack_ros.node.client import client
 from railtrack_ros.node.playback import Playback, ahead
 from railtrack_ros.node.qos import RESULT
 
@@ -31,7 +30,8 @@ LAST_PATIENCE = 5.0
 
 def play(path: str | Path, rate: float = 1.0, topics: Collection[str] = (),
          say: Callable[[str], None] = lambda line: None,
-         progress: Callable[[float], None] = lambda seconds: None) -> dict[str, Any]:
+         progress: Callable[[float], None] = lambda seconds: None,
+         reader: str | None = None) -> dict[str, Any]:
     """Publish the messages of a recording at their log times.
 
     Parameters
@@ -46,6 +46,8 @@ def play(path: str | Path, rate: float = 1.0, topics: Collection[str] = (),
         Called with remarks for people.
     progress
         Called with the seconds of the recording that were played.
+    reader
+        Full name of a node that has to subscribe first; None: any.
 
     Raises
     ------
@@ -54,14 +56,8 @@ def play(path: str | Path, rate: float = 1.0, topics: Collection[str] = (),
     """
     with open_bag(path) as bag:
         chosen = _chosen(bag, topics)
-        context = rclpy.Context()
-        rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
-        node = rclpy.create_node(NAME, context=context)
-        try:
-            return _play(node, bag, chosen, rate, say, progress)
-        finally:
-            node.destroy_node()
-            context.try_shutdown()
+        with client(NAME) as (node, _):
+            return _play(node, bag, chosen, rate, say, progress, reader)
 
 
 def _chosen(bag: Bag, topics: Collection[str]) -> list[str]:
@@ -79,7 +75,7 @@ def _chosen(bag: Bag, topics: Collection[str]) -> list[str]:
 
 
 def _play(node: Node, bag: Bag, topics: list[str], rate: float, say: Callable[[str], None],
-          progress: Callable[[float], None]) -> dict[str, Any]:
+          progress: Callable[[float], None], reader: str | None) -> dict[str, Any]:
     playback = Playback(node)
     for topic in topics:
         playback.offer(topic, bag.topics[topic].type)
@@ -92,7 +88,10 @@ def _play(node: Node, bag: Bag, topics: list[str], rate: float, say: Callable[[s
         clock.publish(clock_type(clock=time_type(sec=seconds, nanosec=nanoseconds)))
         progress((time_ns - bag.start_time) / SECOND)
 
-    if not playback.wait_for_any(PATIENCE):
+    if reader is not None:
+        say(f'waiting until {reader} subscribes')
+        playback.wait_for_node(reader)
+    elif not playback.wait_for_any(PATIENCE):
         say(f'nobody has subscribed within {PATIENCE:g} s: playing all the same')
     start = time.monotonic()
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 from importlib import import_module
 from types import FrameType
 from typing import NoReturn
@@ -20,10 +21,20 @@ def _leave(number: int, frame: FrameType | None) -> NoReturn:
 
 
 def start(name: str) -> int:
-    """Import the node `name`, a module of this package, and run it; return the exit status."""
+    """Import the node `name`, a module of this package, and run it; return the exit status.
+
+    A thread that still computes for a node which was told to end is not waited for.
+    """
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _leave)
-    return int(import_module(f'railtrack_ros.node.{name}').main())
+    status = int(import_module(f'railtrack_ros.node.{name}').main())
+    import threading  # long loaded by now
+
+    if threading.active_count() > 1:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)
+    return status
 
 
 def track_estimator() -> int:

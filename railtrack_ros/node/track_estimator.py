@@ -14,9 +14,7 @@ if __name__ == '__main__':  # before the long imports: a signal may come at any 
 
     sys.exit(start('track_estimator'))
 
-import copy
 import gc
-import os
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -42,6 +40,7 @@ from railtrack_ros.bags.codec import WaveformBlock
 from railtrack_ros.bags.message_types import LIVE
 from railtrack_ros.errors import InputError
 from railtrack_ros.estimation.estimator import EstimateBlock, Estimator
+from railtrack_ros.estimation.odometer import FASTEST
 from railtrack_ros.estimation.samples import SampleCollector
 from railtrack_ros.estimation.settings import EstimatorSettings, IndicatorSettings, declared
 from railtrack_ros.node import diagnostics, gnss, parameters
@@ -51,16 +50,17 @@ from railtrack_ros.node.guard import Guard, Voice
 from railtrack_ros.node.inputs import Info, Input, arrival_ns, sent_ns
 from railtrack_ros.node.latency import Latency
 from railtrack_ros.node.limits import Limits
-from railtrack_ros.node.parameters import setting
 from railtrack_ros.node.polarity import Polarity
+from railtrack_ros.node.processes import resident_memory
 from railtrack_ros.node.qos import LATCHED, RESULT, SENSOR_INPUT, SINGLE_INPUT, overridable
 from railtrack_ros.node.runner import run
+from railtrack_ros.node.settings import CHANGEABLE, OWN_SETTINGS, SETTINGS
+from railtrack_ros.node.trial import try_out
 from railtrack_ros.node.watch import BlockWatch, SpeedWatch
-from railtrack_ros.parameters import POSITIVE, Range
 from railtrack_ros.runs import configuration
 from railtrack_ros.runs.results import CONFIGURATION, WAVEFORMS, ResultMessages
 from railtrack_ros.track.description import load_track
-from railtrack_ros.vehicle.description import Vehicle, load_vehicle
+from railtrack_ros.vehicle.description import load_vehicle
 
 NAME = 'track_estimator'
 DIAGNOSTICS = 'diagnostics'
@@ -68,38 +68,6 @@ POSITION = 'position'
 
 DIAGNOSTICS_PERIOD = 1.0  # s
 POSITION_PERIOD = codec.SECOND // 10  # ns
-# Rate [Hz], speed [m/s] and blocks of 10 ms that try out the compiled code before the first block.
-TRIAL_RATE = 25600.0
-TRIAL_SPEED = 40.0
-TRIAL_BLOCKS = 120
-
-OWN_SETTINGS = (
-    setting('autostart', True, 'configure and activate at the start; false: wait to be told'),
-    setting('track', 'mainline_soft_pads', 'shipped track or path of a YAML file'),
-    setting('vehicle', 'measurement_coach', 'shipped vehicle or path of a YAML file'),
-    setting('frame_id', 'base_link', "the vehicle's frame, in the header of the results"),
-    setting('acceleration_topic', 'axle_box_acceleration',
-            'topic of the acceleration; single samples come on a topic of their own for each axle '
-            'box, acceleration_topic/NAME'),
-    setting('acceleration_type', codec.WAVEFORM,
-            'message type of the acceleration: blocks of samples, or single samples of sensors of '
-            'up to about 1 kHz, whose z axis counts', '',
-            choices=(codec.WAVEFORM, codec.IMU, codec.ACCELERATION)),
-    setting('sample_block', 0.05, 'single samples are gathered to blocks of this length', 's',
-            Range(minimum=0.002, maximum=1.0)),
-    setting('speed_topic', 'speed', 'topic of the speed'),
-    setting('speed_type', codec.TWIST, 'message type of the speed', '',
-            choices=(codec.TWIST, codec.ODOMETRY)),
-    setting('gnss_topic', 'gnss', 'topic of sensor_msgs/msg/NavSatFix; nothing needs it'),
-    setting('gnss_table', '', 'CSV file that gets a line with track position, latitude and '
-            'longitude for each GNSS fix, for maps; empty: none'),
-    setting('shed_delay', 0.5, 'a block that has waited longer than this is dropped together with '
-            'all that wait behind it: the way out of an overload', 's', POSITIVE),
-)
-SETTINGS = (*OWN_SETTINGS, *declared(EstimatorSettings), *declared(IndicatorSettings),
-            *declared(Limits))
-# May change at any time; everything else is taken up when the node is configured.
-CHANGEABLE = ('shed_delay', *(item.name for item in declared(Limits)))
 
 
 class TrackEstimator(LifecycleNode):
@@ -198,7 +166,7 @@ class TrackEstimator(LifecycleNode):
         self._results = ResultMessages(self._vehicle, LIVE, indicators, settings)
         self._configuration = LIVE.get(configuration.TYPE)(
             data=configuration.write_configuration(track, self._vehicle, settings, indicators))
-        try_out(self._estimator, self._results, self._vehicle)
+        try_out(self._estimator, self._results, self._vehicle, own['sample_rate'])
         for topic, type_name in ResultMessages.topics(self._vehicle, indicators).items():
             self._offer(topic, f'~/{topic}', type_name, RESULT)
         self._offer(POSITION, f'~/{POSITION}', codec.POINT, RESULT)
@@ -283,7 +251,8 @@ class TrackEstimator(LifecycleNode):
     def _on_speed(self, message: Any, info: Info) -> None:
         stamp_ns, speed = codec.decode_speed(message)
         self._estimator.add_speed(stamp_ns, speed)
-        self._speed_watch.add(stamp_ns, speed)
+        if abs(speed) <= FASTEST:
+            self._speed_watch.add(stamp_ns, speed)
 
     def _on_position(self, message: Any, info: Info) -> None:
         self._estimator.set_position(*codec.decode_position(message))
@@ -435,37 +404,12 @@ class TrackEstimator(LifecycleNode):
                 parameters.check(known[change.name], change.value)
             except InputError as error:
                 return SetParametersResult(successful=False, reason=str(error))
-            if self._configured and change.name not in CHANGEABLE:
+            same = change.value == self.get_parameter(change.name).value
+            if self._configured and change.name not in CHANGEABLE and not same:
                 return SetParametersResult(successful=False, reason=(
                     f'parameter {change.name} is taken up when the node is configured: '
                     'deactivate and clean it up first'))
         return SetParametersResult(successful=True)
-
-
-def resident_memory() -> int:
-    """Return the memory of this process in bytes, 0 where the system does not tell."""
-    try:
-        pages = int(Path('/proc/self/statm').read_text().split()[1])
-    except (OSError, ValueError, IndexError):
-        return 0
-    return pages * os.sysconf('SC_PAGE_SIZE')
-
-
-def try_out(estimator: Estimator, results: ResultMessages, vehicle: Vehicle) -> None:
-    """Run copies until the first test of the model, so that compiling delays no real block."""
-    # The model of the track is shared: what it remembers of the trial serves the stream.
-    model = estimator._modes
-    estimator, results = copy.deepcopy(estimator, {id(model): model}), copy.deepcopy(results)
-    t = np.arange(round(TRIAL_RATE / 100)) / TRIAL_RATE
-    channels = {box.name: np.zeros(t.size) for box in vehicle.axle_boxes}
-    for index in range(-10, TRIAL_BLOCKS):
-        stamp_ns = index * codec.SECOND // 100
-        estimator.add_speed(stamp_ns, TRIAL_SPEED)
-        if index < 0:
-            continue
-        estimate = estimator.process(stamp_ns, t, channels)
-        if estimate is not None:
-            list(results.block(estimate, ''))
 
 
 def make_node() -> TrackEstimator:

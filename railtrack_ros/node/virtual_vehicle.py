@@ -21,6 +21,7 @@ from railtrack_ros.bags.mcap_file import RawMessage
 from railtrack_ros.bags.message_types import OFFLINE
 from railtrack_ros.bags.reader import Run, read_run
 from railtrack_ros.bags.writer import ACCELERATION_TOPIC, SPEED_TOPIC
+from railtrack_ros.errors import InputError
 from railtrack_ros.node import parameters
 from railtrack_ros.node.parameters import setting
 from railtrack_ros.node.playback import Playback, ahead, restamped
@@ -154,6 +155,8 @@ class VirtualVehicle(Node):
     def _open(self, path: str) -> Run:
         """Open a recording and offer its topics."""
         recording = read_run(path)
+        if recording.samples:
+            raise InputError(f'{path}: holds single samples; railtrack play sends them as they are')
         for topic in _topics(recording, self._truth):
             self.playback.offer(_canonical(recording, topic), recording.bag.topics[topic].type)
         return recording
