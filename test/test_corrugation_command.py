@@ -187,6 +187,33 @@ def test_parquet_holds_the_table_of_the_csv(estimate, tmp_path):
         assert {key: '' if value is None else str(value) for key, value in one.items()} == other
 
 
+def test_waveforms_are_written_along_the_track(estimate, tmp_path):
+    path = tmp_path / 'waves.csv'
+    run(estimate, tmp_path, '--waveforms', path)
+    names = path.read_text().splitlines()[0].split(',')
+    assert names == ['position_m', 'left_10_30_um', 'left_30_100_um', 'left_100_300_um',
+                     'left_300_1000_um']
+    table = np.genfromtxt(path, delimiter=',', skip_header=1)
+    inside = (table[:, 0] > 55.0) & (table[:, 0] < 75.0)
+    assert np.std(table[inside, 2]) * math.sqrt(2.0) == pytest.approx(15.0, rel=0.05)
+    assert np.isnan(table[0, 1:]).all()
+    assert len(set(table[:, 0])) == len(table)
+
+
+def test_waveforms_of_parquet_are_those_of_the_csv(estimate, tmp_path):
+    parquet = pytest.importorskip('pyarrow.parquet')
+    path, table = tmp_path / 'waves.parquet', tmp_path / 'waves.csv'
+    run(estimate, tmp_path, '--waveforms', path)
+    run(estimate, tmp_path, '--waveforms', table)
+    found = parquet.read_table(path)
+    rows = np.genfromtxt(table, delimiter=',', names=True)
+    assert found.column_names == list(rows.dtype.names)
+    for name in found.column_names:
+        column = np.array(found[name].to_pylist(), dtype=float)
+        np.testing.assert_allclose(column, rows[name], rtol=1e-3, atol=1e-9)
+        assert np.isnan(column).sum() == found[name].null_count
+
+
 def test_parquet_without_its_package_is_refused_before_the_work(
         estimate, tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(__import__('sys').modules, 'pyarrow', None)
@@ -215,6 +242,7 @@ def test_report_holds_every_plot_and_the_grind_list(estimate, tmp_path):
     (['--line-speed', '-3'], 'line speed: expected V or LO:HI in m/s above 0'),
     (['--grind-list', 'a.geojson'], 'a.geojson: GeoJSON needs places on Earth'),
     (['--grind-list', 'a.xlsx'], 'a.xlsx: a table is written as .csv'),
+    (['--waveforms', 'a.geojson'], 'a.geojson: a waveform is written as .csv or .parquet'),
     (['--geography', 'nowhere.csv'], 'geography nowhere.csv: cannot be read'),
     (['--plot', 'a.bmp'], 'a.bmp: a plot is written as'),
     (['--contact-filter', 'gauss'], 'gauss'),
@@ -237,3 +265,13 @@ def test_speeds_of_the_line_are_read_by_place(tmp_path):
     assert speeds.over(0.0, 10.0) == (20.0, 20.0)
     assert speeds.over(60.0, 70.0) == (20.0, 30.0)
     assert speeds.over(300.0, 310.0) is None
+
+
+def test_waves_of_the_sleeper_spacing_are_told_apart():
+    from railtrack_ros.cli.indicators import _is_spacing
+
+    content = {'track': {'support': {'spacing': 0.6}}}
+    assert _is_spacing(0.597, None, content)
+    assert not _is_spacing(0.5, None, content)
+    assert not _is_spacing(0.597, None, {})
+    assert _is_spacing(0.597, load_track(VEHICLE), {})

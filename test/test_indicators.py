@@ -174,6 +174,45 @@ def test_numbers_do_not_depend_on_the_blocks(block):
                                else pytest.approx(b[name], rel=1e-9))
 
 
+@pytest.mark.parametrize('block', [1, 300, 5000])
+def test_run_that_stops_and_turns_back_does_not_depend_on_the_blocks(block):
+    """Over a border and back again, twice, with a stand in between."""
+    rng = np.random.default_rng(3)
+    t = np.arange(60_000) / 6400.0
+    speed = 14.0 * np.sin(2.0 * math.pi * t / 4.5)
+    speed[(t > 4.0) & (t < 4.6)] = 0.0
+    x = 13.0 + np.cumsum(speed) / 6400.0
+    y = {box.name: 1e-5 * rng.standard_normal(t.size) for box in VEHICLE.axle_boxes}
+    settings = IndicatorSettings(section_length=2.0)
+    rows = [[s.row() for s in sections(t, x, y, size, settings)] for size in (256, block)]
+    assert len(rows[0]) == len(rows[1]) > 20
+    for a, b in zip(*rows, strict=True):
+        for name in COLUMNS:
+            assert a[name] == (b[name] if not isinstance(b[name], float)
+                               else pytest.approx(b[name], rel=1e-9))
+
+
+def test_no_block_has_to_sum_up_many_sections_and_none_is_kept_longer_than_needed():
+    """Eight axle boxes side by side: their sections end together, and come two a block."""
+    class Wide:
+        axle_boxes = tuple(AxleBox(f'box{n}', 'left', 0.0) for n in range(8))
+
+    t, x = travel(120.0)
+    y = {box.name: 1e-5 * np.random.default_rng(n).standard_normal(t.size)
+         for n, box in enumerate(Wide.axle_boxes)}
+    stream = SectionIndicators(Wide, IndicatorSettings(section_length=5.0))
+    came = []
+    for k in range(0, t.size, 256):
+        part = slice(k, k + 256)
+        came.append(len(stream.feed(t[part], x[part], {name: v[part] for name, v in y.items()})))
+    assert max(came) == 2
+    assert sum(came) == 8 * 23
+    assert len(stream.finish()) == 8
+    # 5 m of sections, and what lies behind them for the filters.
+    assert stream._irregularity._points.shape[1] * 0.002 < 25.0
+    assert stream._filters.signals[0]._points.shape[1] * 0.002 < 25.0
+
+
 def test_single_and_double_precision_give_the_same_numbers():
     t, x = travel(20.0)
     y = {box.name: 1e-5 * np.random.default_rng(1).standard_normal(t.size)
@@ -246,6 +285,15 @@ def test_wave_over_rough_rail_is_named(wavelength, length):
         assert section.dominant_wavelength == pytest.approx(wavelength, rel=0.03)
         assert section.dominant_rms == pytest.approx(strength / math.sqrt(2.0), rel=0.3)
         assert section.dominant_above_limit > 10.0
+
+
+def test_rise_towards_an_end_of_the_range_is_no_wave():
+    """A wave of 1.4 m, above what can be resolved, is not named as one of 1 m."""
+    x = np.arange(0.0, 10.0, 0.001)
+    y = iso3095(20.0, 0.001, 4, 0.0).at(x) + sine(1.4, 200e-6)(x)
+    assert math.isnan(dominant_wavelength(y, 0.001, 0.01, 1.0, 9.0)[0])
+    named = dominant_wavelength(y + sine(0.05, 15e-6)(x), 0.001, 0.01, 1.0, 9.0)[0]
+    assert named == pytest.approx(0.05, rel=0.01)
 
 
 def test_rough_rail_alone_names_nothing():

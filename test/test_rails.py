@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from railtrack_ros.estimation.analysis import TrackAnalysis
-from railtrack_ros.estimation.indicators import SectionIndicators
+from railtrack_ros.estimation.bands import gain
+from railtrack_ros.estimation.indicators import BANDS, SectionIndicators
 from railtrack_ros.estimation.rails import blocks, describe, length_of, row, stretches
 from railtrack_ros.estimation.section import ERROR, OK, WARN
 from railtrack_ros.estimation.settings import EstimatorSettings, IndicatorSettings
@@ -151,6 +152,25 @@ def test_section_over_a_joint_is_excluded_from_the_block():
     assert stretches(found.rails, judge) == []
 
 
+@pytest.mark.parametrize(('at', 'struck'), [
+    (59.5, [50.0]), (59.9, [50.0, 60.0]), (60.0, [50.0, 60.0]), (60.1, [50.0, 60.0]),
+    (60.5, [60.0])])
+def test_joint_beside_a_border_excludes_the_sections_on_either_side(at, struck):
+    """Live and in the analysis: its longer waves are in both."""
+    def profile(x):
+        dip = np.where(np.abs(x - at) < 0.1, -150e-6 * (1.0 - np.abs(x - at) / 0.1), 0.0)
+        return corrugated(0.0, 0.0)(x) + dip
+    found, live, _ = analyse(profile, vehicle=Single)
+    assert [s.start for s in found.rails if s.excluded] == struck
+    assert [s.start for s in live if s.impacts] == struck
+
+
+def test_corrugation_that_begins_at_a_border_excludes_nothing():
+    found, live, _ = analyse(corrugated(60.0, 80.0), vehicle=Single)
+    assert not [s.start for s in found.rails if s.excluded]
+    assert not [s.start for s in live if s.impacts]
+
+
 def test_blow_that_one_wheel_alone_gives_excludes_nothing():
     def flat(name, s):
         return np.where(np.abs(s - 63.0) < 0.05, 80e-6, 0.0) if name == 'one' else 0.0 * s
@@ -217,3 +237,76 @@ def test_other_bands_and_limits_are_used():
     assert section.rms[0] == pytest.approx(15e-6 / math.sqrt(2.0), rel=0.05)
     assert all(map(math.isnan, section.above))  # the set has no limit for these bands
     assert 'rms_20_80_um' in row(section)
+
+
+# Waveforms
+
+
+def waveforms(profile, metres=120.0, vehicle=Coach, settings=None, position=None, gap=None,
+              rate=RATE):
+    """Positions (n,) and waveforms by rail (bands, n) of a run over a profile, stretches joined."""
+    t = np.arange(round(metres / SPEED * rate)) / rate
+    place = SPEED * t if position is None else position(t)
+    found = []
+    analysis = TrackAnalysis(vehicle, settings or IndicatorSettings(), EstimatorSettings(),
+                             waveforms=found.append)
+    for k in range(0, t.size, 640):
+        part = slice(k, k + 640)
+        given = {box.name: profile(place[part] + box.offset) for box in vehicle.axle_boxes}
+        if gap is not None and gap[0] <= t[k] < gap[1]:
+            given = {}
+        analysis.feed(t[part], place[part], given)
+    analysis.finish()
+    return (np.concatenate([item.position for item in found]),
+            {rail: np.concatenate([item.rails[rail] for item in found], axis=1)
+             for rail in found[0].rails})
+
+
+WAVES = np.array((0.018, 0.055, 0.17, 0.55))
+
+
+def waves_of(x, gains=(1.0, 1.0, 1.0, 1.0)):
+    return sum(1e-5 * gain * np.sin(2.0 * math.pi * x / wave + wave)
+               for wave, gain in zip(WAVES, gains, strict=True))
+
+
+@pytest.mark.parametrize('metres', [60.0, 1000.0])
+def test_waveforms_are_those_of_the_rail_place_by_place(metres):
+    """One reach or several: each place once, and every wave with its own phase."""
+    x, rails = waveforms(waves_of, metres)
+    assert np.diff(x) == pytest.approx(np.full(x.size - 1, 0.002), abs=1e-9)
+    for band, ends in enumerate(BANDS):
+        found = rails['left'][band]
+        good = np.isfinite(found)
+        assert good[(x > 2.0) & (x < metres - 3.0)].all()
+        truth = waves_of(x, gain(ends, 0.002, 1.0 / WAVES))
+        assert np.abs(found - truth)[good & (x > 2.0) & (x < metres - 22.0)].max() < 1e-7
+
+
+def test_waveforms_of_a_run_that_turns_back_say_the_same_both_ways():
+    x, rails = waveforms(waves_of, 200.0, position=lambda t: 60.0 - np.abs(SPEED * t - 60.0))
+    back = np.flatnonzero(np.diff(x) < 0.0)
+    assert x[0] == pytest.approx(-19.0, abs=0.01)
+    assert x.max() == pytest.approx(60.0, abs=0.01)
+    assert np.diff(back).max() == 1  # once, and then on
+    there, again = (slice(0, back[0]), slice(back[0] + 1, None))
+    for band in range(3):
+        found = rails['left'][band]
+        inside = (x > 5.0) & (x < 30.0) & np.isfinite(found)
+        one = dict(zip(np.round(x[there] * 500).astype(int), found[there], strict=True))
+        pairs = [(value, one[key]) for key, value, good in zip(
+            np.round(x[again] * 500).astype(int), found[again], inside[again], strict=True)
+            if good and key in one]
+        assert len(pairs) > 10_000
+        a, b = np.array(pairs).T
+        assert np.abs(a - b).max() < 5e-7
+
+
+def test_waveform_is_empty_where_a_band_is_not_resolved_or_nothing_is_valid():
+    x, rails = waveforms(waves_of, 120.0, rate=2000.0)  # 12.5 mm a sample
+    assert np.isnan(rails['left'][:2]).all()
+    assert np.isfinite(rails['left'][2][(x > 5.0) & (x < 90.0)]).all()
+    x, rails = waveforms(waves_of, 120.0, Single, gap=(2.0, 2.4))
+    inside = (x > 51.0) & (x < 59.0)
+    assert np.isnan(rails['left'][:, inside]).all()
+    assert np.isfinite(rails['left'][0][(x > 5.0) & (x < 48.0)]).all()

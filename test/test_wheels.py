@@ -7,7 +7,7 @@ import pytest
 
 from railtrack_ros.estimation import wheels
 from railtrack_ros.irregularity.profile import iso3095
-from railtrack_ros.irregularity.spectra import third_octave_levels
+from railtrack_ros.irregularity.spectra import density, third_octave_levels
 
 STEP = 2e-3
 LENGTH = 400.0
@@ -61,6 +61,52 @@ def test_wheel_alone_keeps_what_the_rail_has_in_its_lines():
     assert np.abs(deviation).max() < 3.5 * np.sqrt(found[0].variance.max())
     assert math.sqrt(float(np.mean((20.0 * np.log10(
         np.abs(found[0].amplitude) / amplitudes[0])) ** 2))) < 1.0
+
+
+@pytest.mark.parametrize('wheels_of_rail', [1, 2])
+def test_wheels_of_one_radius_reach_the_least_variance_that_the_rail_allows(wheels_of_rail):
+    """The bound S / L of what rail and wheel share, within the scatter of 12 runs."""
+    errors = []
+    for seed in range(40, 52):
+        values, _, amplitudes, offsets = run([0.4585] * wheels_of_rail, seed)
+        _, found = wheels.separate(values, STEP, offsets, RADIUS)
+        shown = wheels.roundness(found[0], 'a', 'left', 0.0, LENGTH, RADIUS, 1e3)
+        errors.append(shown.amplitude - amplitudes[0])
+    orders = np.arange(3, 21)
+    bound = np.sqrt(density(orders / (2.0 * math.pi * 0.4585)) / LENGTH)
+    error = np.array(errors)[:, 2:]
+    assert math.sqrt(float(np.mean((error / bound) ** 2))) < 1.15
+    assert abs(float(np.mean(error / bound))) < 0.15
+    assert shown.uncertainty[2:] == pytest.approx(bound, rel=0.5)
+
+
+def test_reaches_of_a_wheel_are_pooled_and_their_uncertainty_falls():
+    periodic = wheels._Periodic(2.88, np.full(20, 10e-6 + 0j), np.full(20, 4e-12))
+    worse = wheels._Periodic(2.88, np.full(20, 11e-6 + 0j), np.full(20, 4e-12))
+    reaches = [wheels.roundness(item, 'a', 'left', start, start + 400.0, RADIUS, 1e3)
+               for item, start in ((periodic, 0.0), (worse, 400.0), (None, 800.0))]
+    (one,) = wheels.pooled(reaches)
+    assert (one.start, one.end, one.reaches) == (0.0, 800.0, 2)
+    assert one.amplitude == pytest.approx(
+        np.full(20, math.sqrt((100.0 + 121.0) / 2.0 - 4.0) * 1e-6), rel=1e-6)
+    assert one.uncertainty == pytest.approx(np.full(20, 1e-6), rel=1e-6)
+    (none,) = wheels.pooled(reaches[2:])
+    assert math.isnan(none.radius)
+
+
+@pytest.mark.parametrize('radii', [[0.4585, 0.4585], [0.458, 0.4593]])
+def test_gaps_take_nothing_off_the_amplitudes(radii):
+    """Of either wheel 8 % are missing, at other places."""
+    values, _, amplitudes, offsets = run(radii, 6)
+    _, before = wheels.separate(values, STEP, offsets, RADIUS)
+    values[:3000, 0] = values[80_000:93_000, 0] = np.nan
+    values[150_000:166_000, 1] = np.nan
+    _, after = wheels.separate(values, STEP, offsets, RADIUS)
+    for w in range(2):
+        strong = amplitudes[w] > 12e-6
+        ratio = 20.0 * np.log10(np.abs(after[w].amplitude / before[w].amplitude))
+        assert np.abs(np.mean(ratio[strong])) < 0.1
+        assert np.abs(ratio[strong]).max() < 0.5
 
 
 def test_round_wheels_are_round_and_corrugation_is_left_on_the_rail():

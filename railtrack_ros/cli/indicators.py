@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from railtrack_ros.cli import common
@@ -13,7 +14,7 @@ from railtrack_ros.errors import InputError
 from railtrack_ros.estimation.limits import shipped_limits
 from railtrack_ros.estimation.settings import IndicatorSettings
 from railtrack_ros.parameters import NOT_NEGATIVE
-from railtrack_ros.track.description import load_track
+from railtrack_ros.track.description import Track, load_track
 from railtrack_ros.vehicle.description import load_vehicle
 
 if TYPE_CHECKING:
@@ -53,6 +54,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     more.add_argument('--spectra', metavar='FILE',
                       help='one-third-octave levels of each section against ISO 3095')
     more.add_argument('--wheels', metavar='FILE', help='out-of-roundness of the wheels by order')
+    more.add_argument('--waveforms', metavar='FILE',
+                      help='irregularity of each rail in each band along the track: .csv, .parquet')
     more.add_argument('--report', metavar='FILE.html', help='plots and tables on one page')
     more.add_argument('--plot', metavar='FILE',
                       help='strip chart and spectrogram: .png, .svg or .pdf')
@@ -81,10 +84,13 @@ def run(args: argparse.Namespace) -> Outcome:
     from railtrack_ros.runs.results import describe
 
     asked = [name for name in TABLES if getattr(args, name)]
-    for name in ('output', *asked):
+    for name in asked:
         check_format(getattr(args, name))
-    if str(args.output).lower().endswith('.geojson'):
-        raise InputError(f'{args.output}: the table of sections is .csv or .parquet')
+    for path, what in ((args.output, 'the table of sections'), (args.waveforms, 'a waveform')):
+        if path:
+            check_format(path)
+        if str(path).lower().endswith('.geojson'):
+            raise InputError(f'{path}: {what} is written as .csv or .parquet')
     geography = read_geography(args.geography) if args.geography else None
     line_speed = read_line_speed(args.line_speed) if args.line_speed else None
     if args.plot:
@@ -102,20 +108,23 @@ def run(args: argparse.Namespace) -> Outcome:
 
         found = indicators(
             args.bag, settings, vehicle, args.topic, show, args.filters,
-            bool(asked or args.report or args.plot))  # fmt: skip
+            bool(asked or args.report or args.plot or args.waveforms), args.waveforms)
     write_sections(args.output, found.sections)
-    written = [args.output]
+    written = [args.output, *([args.waveforms] if args.waveforms else [])]
     named = [s for s in found.sections if math.isfinite(s.dominant_wavelength)]
-    named.sort(key=lambda section: -section.dominant_above_limit)
+    sagging = [s for s in named if _is_spacing(s.dominant_wavelength, track, found.content)]
+    named.sort(key=lambda section: (section in sagging, -section.dominant_above_limit))
     lines = [
         f'{len(found.sections)} sections of {settings.section_length:g} m, a wavelength stands '
-        f'out in {len(named)}',
+        f'out in {len(named)}'
+        + (f', that of the sleepers in {len(sagging)} of them' if sagging else ''),
         *(f'  {section.axle_box}, {describe(section)}' for section in named[:5]),
     ]
     summary: dict[str, Any] = {
         'output': args.output,
         'sections': len(found.sections),
         'sections_with_dominant_wavelength': len(named),
+        'sections_with_that_of_the_sleepers': len(sagging),
         'most_prominent': [section.row() for section in named[:5]],
     }
     if found.analysis is not None:
@@ -138,6 +147,17 @@ def run(args: argparse.Namespace) -> Outcome:
         written += more['written']
         summary.update(more)
     return Outcome(summary, [*lines, f'written: {", ".join(written)}'], found.defects)
+
+
+def _is_spacing(wavelength: float, track: Track | None, content: Mapping[str, Any]) -> bool:
+    """Tell whether a wavelength [m] is the sleeper spacing, of a track or as a recording tells."""
+    from railtrack_ros.estimation.mechanism import SPACING_MARGIN
+
+    try:
+        spacing = track.support.spacing if track else float(content['track']['support']['spacing'])
+    except (KeyError, TypeError, ValueError):
+        return False
+    return abs(wavelength / spacing - 1.0) <= SPACING_MARGIN
 
 
 def _analysed(args: argparse.Namespace, found: Indicated, setting: Setting,

@@ -28,6 +28,7 @@ from railtrack_ros.dynamics.recursive import RecursiveResponse
 from railtrack_ros.errors import InputError
 from railtrack_ros.estimation.closed_loop import ClosedLoop, Residual
 from railtrack_ros.estimation.highpass import ChannelState, filter_block
+from railtrack_ros.estimation.notes import Kind, Note
 from railtrack_ros.estimation.odometer import Odometer, Run
 from railtrack_ros.estimation.settings import EstimatorSettings
 from railtrack_ros.estimation.timeline import SECOND, Place, SampleClock
@@ -181,7 +182,7 @@ class Estimator:
         self._health = Health(
             bad_samples=dict.fromkeys(self._names, 0), missing_blocks=dict.fromkeys(self._names, 0)
         )
-        self._notes: deque[str] = deque(maxlen=1000)
+        self._notes: deque[Note] = deque(maxlen=1000)
         self._faulty: set[str] = set()
 
     # What comes in besides blocks
@@ -228,7 +229,7 @@ class Estimator:
                 found.update(rail.loop.results())
         return found
 
-    def take_notes(self) -> list[str]:
+    def take_notes(self) -> list[Note]:
         """Return the one-line remarks since the last call: what was skipped and why."""
         self._notes.extend(self._odometer.notes)
         self._odometer.notes.clear()
@@ -291,7 +292,7 @@ class Estimator:
         t = np.asarray(t, dtype=np.float64)
         place, remark = self._clock.place(stamp_ns, t)
         if remark:
-            self._notes.append(remark)
+            self._notes.append(remark if isinstance(remark, Note) else Note(remark))
         if place is Place.DROPPED:
             self._health.dropped_blocks += 1
             return None
@@ -347,7 +348,7 @@ class Estimator:
                 what = 'no channel' if a.size == 0 else f'{a.size} values for {samples} samples'
                 a = np.full(samples, np.nan)
                 health.missing_blocks[name] += 1
-                self._fault(name, what)
+                self._fault(name, what, Kind.DEFECT if name in channels else Kind.NORMAL)
             if self.settings.input_includes_gravity:
                 a -= STANDARD_GRAVITY
             a[~(np.abs(a) < STRONGEST)] = np.nan
@@ -359,15 +360,16 @@ class Estimator:
                 self._fault(name, f'{bad} of {samples} samples are no number')
             elif name in self._faulty:
                 self._faulty.discard(name)
-                self._notes.append(f'{name}: good samples again')
+                self._notes.append(Note(f'{name}: good samples again', Kind.NORMAL))
             measured[name] = a
         health.dead = tuple(dead)
         return measured
 
-    def _fault(self, name: str, what: str) -> None:
+    def _fault(self, name: str, what: str, kind: Kind = Kind.DEFECT) -> None:
         if name not in self._faulty:
             self._faulty.add(name)
-            self._notes.append(f'{name}: {what}: taken to carry its static load, not estimated')
+            self._notes.append(Note(
+                f'{name}: {what}: taken to carry its static load, not estimated', kind))
 
     def _start(self, run: Run, step: float) -> None:
         """Begin a stretch: all wheels stand on the statically deflected rail."""

@@ -1,17 +1,19 @@
 """Corrugation indicators live: the irregularity summed up in sections of track, as it comes.
 
-Each axle box's irregularity is put on a grid of 1 mm along its own track position and goes through
-the causal band-passes of :mod:`railtrack_ros.estimation.bands`, whose delay is made up for by
-booking each value as far back as the filter delays the middle of its band. A section is
-finished when the slowest filter has left it. Live and offline run the same code on the same
-single-precision waveforms, so they give the same numbers.
+Each axle box's irregularity is put on a grid along its own track position and goes through the
+causal band-passes of :mod:`railtrack_ros.estimation.bands`, whose delay is made up for by booking
+each value as far back as the filter delays the middle of its band. A section is finished when the
+slowest filter has left it, and what follows is known as far as needed to tell a blow near its end
+from corrugation that begins there. Live and offline run the same code on the same single-precision
+waveforms, so they give the same numbers, whatever the blocks.
 """
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -20,24 +22,33 @@ from numpy.typing import ArrayLike, NDArray
 from railtrack_ros.estimation import bands as filters
 from railtrack_ros.estimation.bands import band_name
 from railtrack_ros.estimation.grid import DistanceGrid
+from railtrack_ros.estimation.kept import Kept
 from railtrack_ros.estimation.limits import LimitSet, load_limits
 from railtrack_ros.estimation.section import Judge, Passage, Section, columns
 from railtrack_ros.estimation.settings import EstimatorSettings, IndicatorSettings
 from railtrack_ros.estimation.timeline import SamplePeriod
 from railtrack_ros.estimation.wavelengths import dominant_wavelength
+from railtrack_ros.estimation.waves import IMPACT_AROUND
 from railtrack_ros.vehicle.description import AxleBox
 
-__all__ = ['BANDS', 'COLUMNS', 'GRID', 'HasAxleBoxes', 'Section', 'SectionIndicators', 'band_name',
+__all__ = ['BANDS', 'COLUMNS', 'HasAxleBoxes', 'Section', 'SectionIndicators', 'band_name',
            'dominant_wavelength']  # fmt: skip
 
 Array = NDArray[np.float64]
 
 BANDS = IndicatorSettings().wavelengths  # m, unless the settings say otherwise
 COLUMNS = columns(BANDS)
-GRID = 0.001  # m
 # Samples of all channels together that are worked off at a time, and of each one at least.
 CHUNK = 8192
 LEAST_CHUNK = 2048
+
+# Sections that are summed up with one block; others that have ended with them wait for the next
+# ones, so that no block takes long. A long block takes its share.
+AT_ONCE = 2
+
+
+def _chunk(channels: int) -> int:
+    return max(CHUNK // channels, LEAST_CHUNK)
 
 
 class HasAxleBoxes(Protocol):
@@ -50,21 +61,50 @@ class HasAxleBoxes(Protocol):
 
 @dataclass
 class _Visit:
-    """A section that an axle box is running over: pieces of its signals, and how it ran."""
+    """A section that an axle box runs over: from which point of the grid to which, run by run."""
 
-    signals: list[list[Array]]  # by band
-    irregularity: list[Array] = field(default_factory=list)
-    points: int = 0
-    travel_time: float = 0.0
-    coarsest: float = 0.0
-    fastest: float = 0.0
+    runs: list[tuple[int, int]]
 
-    def passage(self) -> Passage:
-        """Return what was met."""
-        return Passage(
-            _joined(self.irregularity), [_joined(pieces) for pieces in self.signals], GRID,
-            self.points * GRID / self.travel_time if self.travel_time else math.nan,
-            self.coarsest, self.fastest)  # fmt: skip
+    @property
+    def end(self) -> int:
+        """The point after its last one so far."""
+        return self.runs[-1][1]
+
+
+class Way:
+    """Follows how a run goes over the grid, so that sections can resume there.
+
+    Parameters
+    ----------
+    axle_boxes
+        Their number.
+    step
+        Of the grid [m].
+    """
+
+    def __init__(self, axle_boxes: int, step: float) -> None:
+        self.period = SamplePeriod()
+        self.samples = 0  # that wait to be worked off
+        self._chunk = _chunk(axle_boxes)
+        self._grid = DistanceGrid(step, 0)
+        self._waiting: list[Array] = []
+
+    def feed(self, t: Array, position: Array, stamp_ns: int) -> None:
+        """Follow a block, as :meth:`SectionIndicators.feed` takes it."""
+        self.period.take(stamp_ns, t)
+        self._waiting.append(position)
+        self.samples += t.size
+        if self.samples >= self._chunk:
+            self.samples = 0
+            self.grid()
+
+    def grid(self) -> DistanceGrid:
+        """Return the grid up to here."""
+        if self._waiting:
+            position = np.concatenate(self._waiting)
+            self._grid.add(position, np.zeros((position.size, 0), dtype=np.float32))
+            self._waiting.clear()
+        return self._grid
 
 
 class SectionIndicators:
@@ -93,22 +133,43 @@ class SectionIndicators:
         limits: LimitSet | None = None,
     ) -> None:
         self.settings = settings or IndicatorSettings()
-        self.estimator = estimator or EstimatorSettings()
-        self.judge = Judge(
-            self.settings, self.estimator, limits or load_limits(self.settings.limits))
+        self.judge = Judge(self.settings, estimator or EstimatorSettings(),
+                           limits or load_limits(self.settings.limits))
         self.boxes = vehicle.axle_boxes
-        bands = self.judge.bands
-        self._offsets = np.array([box.offset for box in self.boxes])
-        self._grid = DistanceGrid(GRID, len(self.boxes))
-        self._filters = filters.CausalBands(bands, GRID, len(self.boxes))
-        self._delays = [filters.delay(band, GRID) for band in bands]
-        self._strides = [filters.stride(band, GRID) for band in bands]
-        self._waiting: list[tuple[Array, NDArray[np.float32]]] = []
-        self._tail = np.zeros((0, len(self.boxes)), dtype=np.int64)
+        bands, count = self.judge.bands, len(self.boxes)
+        step = self.judge.step
+        self._grid = DistanceGrid(step, count)
+        self._delays = [filters.delay(band, step) for band in bands]
+        self._strides = [filters.stride(band, step) for band in bands]
+        self._around = round(IMPACT_AROUND / step)
+        # So many points after its end a section is finished.
+        self._wait = self._around + max(
+            behind + filters.lag(band, step)
+            for band, behind in zip(bands, self._delays, strict=True))
+        self._chunk = _chunk(count)
+        # What waits to be worked off, as far as `waiting`; `samples` have come since the last time.
+        self._positions: Array = np.empty(2 * self._chunk)
+        self._channels: NDArray[np.float32] = np.empty((count, 2 * self._chunk), dtype=np.float32)
         self._visits: list[dict[int, _Visit]] = [{} for _ in self.boxes]
+        self._closed: list[tuple[int, int, int, _Visit]] = []
+        self._inside: list[int | None] = [None] * count  # section in which each axle box is
         self._period = SamplePeriod()
-        self._points = 0
-        self._samples = 0
+        self._waiting = self._samples = 0
+        self._begin(0)
+
+    def _begin(self, number: int) -> None:
+        """Begin with point `number` of the grid."""
+        count = len(self.boxes)
+        self._filters = filters.CausalBands(self.judge.bands, self.judge.step, count, number)
+        self._irregularity = Kept(count, begin=number)
+        # Distance of the samples [m], and time that a point takes [s].
+        self._motion = Kept(2, np.float64, number)
+
+    def resume(self, way: Way) -> None:
+        """Go on, with nothing known of the irregularity, where the way of a run is by now."""
+        self._grid = way.grid().resumed(len(self.boxes))
+        self._period, self._samples = copy.copy(way.period), way.samples
+        self._begin(self._grid.next)
 
     def feed(
         self, t: ArrayLike, position: ArrayLike, irregularity: Mapping[str, ArrayLike],
@@ -129,97 +190,130 @@ class SectionIndicators:
             Time that `t` counts from [ns]; blocks of one sample need it.
         """
         t, position = np.asarray(t, dtype=float), np.asarray(position, dtype=float)
-        size = t.size
-        channels = np.empty((len(self.boxes), size), dtype=np.float32)
-        for row, box in enumerate(self.boxes):
-            channels[row] = irregularity.get(box.name, math.nan)
-        self._waiting.append((position, channels))
+        first, last = self._waiting, self._waiting + t.size
+        if last > self._positions.size:
+            self._make_room(last)
+        self._positions[first:last] = position
+        for row, box in zip(self._channels, self.boxes, strict=True):
+            row[first:last] = irregularity.get(box.name, math.nan)
         self._period.take(stamp_ns, t)
-        self._samples += size
-        if self._samples < max(CHUNK // len(self.boxes), LEAST_CHUNK):
+        self._waiting = last
+        self._samples += t.size
+        if self._samples >= self._chunk:
+            self._work_off()
+        if not self._closed:
             return []
-        return self._work_off()
+        return self._finished(max(AT_ONCE, math.ceil(len(self._closed) * t.size / self._chunk)))
+
+    def _make_room(self, samples: int) -> None:
+        more = samples - self._positions.size
+        self._positions = np.pad(self._positions, (0, more))
+        self._channels = np.pad(self._channels, ((0, 0), (0, more)))
 
     def finish(self) -> list[Section]:
         """Return the sections under way at the end of a run."""
-        finished = self._work_off() if self._waiting else []
+        if self._waiting:
+            self._work_off()
         for channel, visits in enumerate(self._visits):
-            finished += [self._close(channel, index, visits.pop(index)) for index in list(visits)]
-        return self._worth(finished)
+            for index in list(visits):
+                self._close(channel, index)
+        self._inside = [None] * len(self.boxes)
+        self._closed.sort(key=lambda item: item[:3])
+        return self._finished(len(self._closed))
 
-    def _work_off(self) -> list[Section]:
-        positions, channels = zip(*self._waiting, strict=True)
-        self._waiting.clear()
-        self._samples = 0
-        points = self._grid.add(
-            np.concatenate(positions), np.concatenate(channels, axis=1).T.astype(float)
-        )
+    def _work_off(self) -> None:
+        """Take what waits to the grid and through the filters, and close sections."""
+        waiting, self._waiting, self._samples = self._waiting, 0, 0
+        points = self._grid.add(self._positions[:waiting], self._channels[:, :waiting].T)
         count = points.position.size
         if not count:
-            return []
-        length = self.settings.section_length
-        index = np.floor((points.position[:, None] + self._offsets) / length).astype(np.int64)
-        index = np.concatenate((self._tail, index))
-        behind = len(self._tail)
-        for b, signal in enumerate(self._filters.filter(points.values)):
-            # Where the filters have not been delayed for long enough there is no place to book.
-            skip = max(self._delays[b] - behind, 0)
-            skip += -(self._points + skip) % self._strides[b]
-            kept = slice(skip, count, self._strides[b])
-            begin = behind - self._delays[b]
-            self._book_band(b, index[begin + skip : begin + count : self._strides[b]], signal[kept])
-        self._book_points(index[behind:], points.values, points.spacing)
-        self._tail = index[-max(self._delays) :]
-        self._points += count
-        return self._worth(self._leave())
-
-    def _book_band(self, band: int, places: NDArray[np.int64], signal: Array) -> None:
-        for channel in range(len(self.boxes)):
-            for index, part in _stretches(places[:, channel]):
-                self._visit(channel, index).signals[band].append(signal[part, channel])
-
-    def _book_points(self, places: NDArray[np.int64], values: Array, spacing: Array) -> None:
-        speed = spacing / self._period.step
-        for channel in range(len(self.boxes)):
-            for index, part in _stretches(places[:, channel]):
-                visit = self._visit(channel, index)
-                visit.points += part.stop - part.start
-                visit.travel_time += float(np.sum(GRID / speed[part]))
-                visit.coarsest = max(visit.coarsest, float(spacing[part].max()))
-                visit.fastest = max(visit.fastest, float(speed[part].max()))
-                visit.irregularity.append(values[part, channel])
-
-    def _visit(self, channel: int, index: int) -> _Visit:
-        visits = self._visits[channel]
-        if index not in visits:
-            visits[index] = _Visit([[] for _ in self.judge.bands])
-        return visits[index]
-
-    def _leave(self) -> list[Section]:
-        """Close the sections that neither the axle box nor the slowest filter is in."""
-        finished = []
+            return
+        values = points.values.T
+        begin = self._irregularity.end
+        self._irregularity.append(values)
+        self._filters.add(values)
+        # A point takes as long as so many samples.
+        self._motion.append(np.stack(
+            (points.spacing, self.judge.step * self._period.step / points.spacing)))
+        self._follow(points.position, begin)
         for channel, visits in enumerate(self._visits):
-            present = {index for index, _ in _stretches(self._tail[:, channel])}
-            for index in [index for index in visits if index not in present]:
-                finished.append(self._close(channel, index, visits.pop(index)))
-        return finished
+            over = [index for index, visit in visits.items() if index != self._inside[channel]
+                    and visit.end + self._wait <= begin + count]
+            for index in over:
+                self._close(channel, index)
+        self._closed.sort(key=lambda item: item[:3])
+        self._forget()
 
-    def _close(self, channel: int, index: int, visit: _Visit) -> Section:
-        box = self.boxes[channel]
-        return self.judge.section(box.name, box.rail, index, visit.passage())
+    def _follow(self, position: Array, begin: int) -> None:
+        """Note the sections the axle boxes are in at positions (n,) [m] from point `begin` on."""
+        length = self.settings.section_length
+        lowest, highest = float(position.min()), float(position.max())
+        for channel, box in enumerate(self.boxes):
+            index = math.floor((lowest + box.offset) / length)
+            if index == math.floor((highest + box.offset) / length):
+                self._run(channel, index, begin, begin + position.size)
+                continue
+            indices = np.floor((position + box.offset) / length)
+            bounds = [0, *(np.flatnonzero(np.diff(indices)) + 1).tolist(), position.size]
+            for first, last in zip(bounds, bounds[1:], strict=False):
+                self._run(channel, int(indices[first]), begin + first, begin + last)
 
-    def _worth(self, sections: list[Section]) -> list[Section]:
-        """Leave out the sections without a single figure."""
-        return [section for section in sections if not all(map(math.isnan, section.rms))]
+    def _run(self, channel: int, index: int, first: int, last: int) -> None:
+        visits = self._visits[channel]
+        self._inside[channel] = index
+        if index in visits and visits[index].end + self._wait <= first:
+            self._close(channel, index)  # it has come back after the section was over
+        if index not in visits:
+            visits[index] = _Visit([(first, last)])
+        elif visits[index].end == first:
+            visits[index].runs[-1] = (visits[index].runs[-1][0], last)
+        else:
+            visits[index].runs.append((first, last))
+
+    def _close(self, channel: int, index: int) -> None:
+        visit = self._visits[channel].pop(index)
+        self._closed.append((visit.end, channel, index, visit))
+
+    def _finished(self, count: int) -> list[Section]:
+        """Return the first of the closed sections, those with at least one figure."""
+        closed, self._closed = self._closed[:count], self._closed[count:]
+        found = [self._section(channel, index, visit) for _, channel, index, visit in closed]
+        return [section for section in found if not all(map(math.isnan, section.rms))]
+
+    def _section(self, channel: int, index: int, visit: _Visit) -> Section:
+        box, around = self.boxes[channel], self._around
+        (first, _), (_, last) = visit.runs[0], visit.runs[-1]
+        motion = [self._motion.part(*run) for run in visit.runs]
+        spacing, seconds = motion[0] if len(motion) == 1 else np.concatenate(motion, axis=1)
+        shortest_time = float(seconds.min())
+        passage = Passage(
+            _joined([self._irregularity.part(*run)[channel] for run in visit.runs]),
+            [_joined([self._signal(b, channel, *run) for run in visit.runs])
+             for b in range(len(self._strides))],
+            self.judge.step, spacing.size * self.judge.step / float(seconds.sum()),
+            float(spacing.max()), self.judge.step / shortest_time,
+            [self._signal(b, channel, first - around, first) for b in range(len(self._strides))],
+            [self._signal(b, channel, last, last + around) for b in range(len(self._strides))])
+        return self.judge.section(box.name, box.rail, index, passage)
+
+    def _signal(self, band: int, channel: int, first: int, last: int) -> NDArray[np.float32]:
+        """Signal of a band that is booked on points first ... last - 1 of the grid."""
+        behind, apart = self._delays[band], self._strides[band]
+        return self._filters.signals[band].part(
+            -(-(first + behind) // apart), -(-(last + behind) // apart))[channel]
+
+    def _forget(self) -> None:
+        """Let go of the points before the first section that is not finished."""
+        visits = [visit for each in self._visits for visit in each.values()]
+        visits += [visit for *_, visit in self._closed]
+        oldest = min((visit.runs[0][0] for visit in visits), default=self._irregularity.end)
+        self._irregularity.forget(oldest)
+        self._motion.forget(oldest)
+        for kept, behind, apart in zip(
+            self._filters.signals, self._delays, self._strides, strict=True
+        ):
+            kept.forget((oldest - self._around + behind) // apart)
 
 
-def _stretches(index: NDArray[np.int64]) -> list[tuple[int, slice]]:
-    """Return the constant stretches of a row of numbers with their places."""
-    if index.size and index[0] == index[-1] and not (index != index[0]).any():
-        return [(int(index[0]), slice(0, index.size))]
-    bounds = [0, *(np.flatnonzero(np.diff(index)) + 1).tolist(), index.size]
-    return [(int(index[i]), slice(i, j)) for i, j in zip(bounds, bounds[1:], strict=False) if j > i]
-
-
-def _joined(pieces: list[Array]) -> Array:
-    return np.concatenate(pieces) if pieces else np.zeros(0)
+def _joined(pieces: list[NDArray[np.float32]]) -> NDArray[np.float32]:
+    return pieces[0] if len(pieces) == 1 else np.concatenate(pieces)

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from railtrack_ros.estimation.notes import Kind, Note
 from railtrack_ros.estimation.timeline import CLOCK_RESET, SECOND
 
 Array = NDArray[np.float64]
@@ -75,7 +76,7 @@ class Odometer:
         self.timeout = timeout
         self.bay = bay
         self.received = self.late = self.refused = self.corrections = 0
-        self.notes: deque[str] = deque(maxlen=1000)
+        self.notes: deque[Note] = deque(maxlen=1000)
         self._start_position = start_position
         self._delay_ns = round(delay * SECOND)
         self._timeout_ns = round(timeout * SECOND)
@@ -117,7 +118,7 @@ class Odometer:
         if not abs(speed) <= FASTEST:
             self.refused += 1
             if _now_and_then(self.refused):
-                self.notes.append(f'speed of {speed:g} m/s not used: no plausible speed')
+                self.notes.append(Note(f'speed of {speed:g} m/s not used: no plausible speed'))
         elif self._used_ns is not None and stamp_ns <= self._used_ns:
             self._take_late(stamp_ns, speed)
         else:
@@ -131,10 +132,9 @@ class Odometer:
         if late > CLOCK_RESET:
             self._earlier.append((stamp_ns, speed))
         if _now_and_then(self.late):
-            self.notes.append(
+            self.notes.append(Note(
                 f'speed message {late:.3f} s too late and not used ({self.late} so far): '
-                'a larger speed_delay would give them time'
-            )
+                'a larger speed_delay would give them time', Kind.NORMAL))
 
     def _insert(self, stamp_ns: int, speed: float) -> None:
         i = bisect_left(self._stamps, stamp_ns)
@@ -157,7 +157,7 @@ class Odometer:
         later, or from the next block on. It moves positions; distances are as before.
         """
         if not abs(position) <= 1e9:
-            self.notes.append(f'track position of {position:g} m not used: not plausible')
+            self.notes.append(Note(f'track position of {position:g} m not used: not plausible'))
             return
         self._references.append((stamp_ns, float(position)))
         self._references.sort()
@@ -221,24 +221,24 @@ class Odometer:
         silence = end_ns - self._stamps[usable - 1]
         if silence > self._timeout_ns:
             if self.state == 'ok':
-                self.notes.append(f'no speed for {silence / SECOND:.2f} s: nothing is estimated')
+                self.notes.append(Note(
+                    f'no speed for {silence / SECOND:.2f} s: nothing is estimated', Kind.SILENCE))
             self.state = 'silent'
             return False
         if self.state == 'none' and self._stamps[0] - (self._anchor_ns or 0) > self._timeout_ns:
             wait = (self._stamps[0] - (self._anchor_ns or 0)) / SECOND
-            self.notes.append(
+            self.notes.append(Note(
                 f'first speed {wait:.2f} s after the first sample: the start position is taken '
-                'to be where the speed is first known'
-            )
+                'to be where the speed is first known'))
             self._anchor_ns = start_ns
         elif self.state == 'silent':
-            self.notes.append('the speed is back: start anew')
+            self.notes.append(Note('the speed is back: start anew', Kind.NORMAL))
         self.state = 'ok'
         return True
 
     def _say_once(self, note: str) -> None:
         if note not in self.notes:
-            self.notes.append(note)
+            self.notes.append(Note(note))
 
     def _at(self, t: Array, reference_ns: int, count: int) -> Array:
         """Speed at times t (n,) [s] after reference_ns, through the first `count` messages."""
@@ -286,10 +286,11 @@ class Odometer:
         for reference_ns, reference in self._references[:due]:
             there = self._distance_at(reference_ns)
             if math.isnan(there):
-                self.notes.append('position reference not used: of a time without known distance')
+                self.notes.append(Note(
+                    'position reference not used: of a time without known distance'))
                 continue
             if self._reference_ns is not None and reference_ns <= self._reference_ns:
-                self.notes.append('position reference not used: older than the last one')
+                self.notes.append(Note('position reference not used: older than the last one'))
                 continue
             change = reference - there - self._correction
             self._correction += change

@@ -26,6 +26,9 @@ MISSING = 1.5
 FIRST = 32
 PATIENCE = 0.1
 
+# Length of a block [s], unless something else is said.
+SAMPLE_BLOCK = 0.05
+
 
 @dataclass(frozen=True, eq=False)
 class SampleBlock:

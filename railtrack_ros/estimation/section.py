@@ -7,14 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from railtrack_ros.estimation import wavelengths, waves
-from railtrack_ros.estimation.bands import Band, band_name, band_title, stride
+from railtrack_ros.estimation.bands import Band, band_name, band_title, grid_step, stride
 from railtrack_ros.estimation.limits import LimitSet
 from railtrack_ros.estimation.settings import EstimatorSettings, IndicatorSettings
 
-Array = NDArray[np.float64]
+Signal = NDArray[np.float32]
 
 OK, WARN, ERROR = 0, 1, 2
 LEVELS = ('OK', 'WARN', 'ERROR')
@@ -102,14 +102,17 @@ class Passage:
 
     irregularity (n,) [m] every `step` [m], and signals: that in each band, every `stride`-th
     point; NaN where not valid. coarsest [m]: largest distance of two samples; fastest [m/s].
+    before, after: the signals on either side, as far as a blow is long and they are known.
     """
 
-    irregularity: Array
-    signals: Sequence[Array]
+    irregularity: Signal
+    signals: Sequence[Signal]
     step: float
     speed: float
     coarsest: float
     fastest: float
+    before: Sequence[Signal]
+    after: Sequence[Signal]
 
 
 class Judge:
@@ -119,24 +122,26 @@ class Judge:
                  limits: LimitSet) -> None:
         self.settings, self.estimator, self.limits = settings, estimator, limits
         self.bands = settings.wavelengths
+        self.step = grid_step(self.bands)  # m, of the grid that passages are on
 
     def shortest(self, passage: Passage) -> float:
         """Return the shortest wavelength [m] that sampling and track model resolve."""
-        return self._shortest(passage, SAMPLES_A_WAVE)
-
-    def _shortest(self, passage: Passage, samples: float) -> float:
-        by_model = passage.fastest / self.estimator.maximum_frequency
-        return max(samples * passage.coarsest, by_model)
+        return max(SAMPLES_A_WAVE * passage.coarsest,
+                   passage.fastest / self.estimator.maximum_frequency)
 
     @property
     def longest(self) -> float:
         """The longest wavelength [m] that the high-pass of the estimate lets by untouched."""
         return self.estimator.cut_on_wavelength / CUT_ON_MARGIN
 
-    def resolved(self, band: Band, passage: Passage) -> bool:
-        """Tell whether a band lies between the shortest and the longest wavelength."""
-        return (band[0] >= self._shortest(passage, SAMPLES_A_WAVE_OF_BAND)
-                and band[1] <= self.longest)
+    def resolved(self, band: Band, spacing: ArrayLike, speed: ArrayLike) -> NDArray[np.bool_]:
+        """Tell whether a band can be resolved.
+
+        spacing and speed: distance of the samples [m] and speed [m/s], of any shape.
+        """
+        by_model = np.asarray(speed, dtype=float) / self.estimator.maximum_frequency
+        shortest = np.maximum(SAMPLES_A_WAVE_OF_BAND * np.asarray(spacing, dtype=float), by_model)
+        return np.asarray((band[0] >= shortest) & (band[1] <= self.longest))
 
     def section(self, axle_box: str, rail: str, index: int, passage: Passage) -> Section:
         """Return the indicators of the section of number `index`."""
@@ -148,7 +153,7 @@ class Judge:
             apart = stride(band, step) * step
             good, squares = waves.square_sum(values)
             enough = good * apart >= self.settings.minimum_valid * length - 0.5 * apart
-            if not (enough and self.resolved(band, passage)):
+            if not (enough and self.resolved(band, passage.coarsest, passage.fastest)):
                 continue
             rms[b] = math.sqrt(squares / good)
             heights[b] = waves.largest_mean_peak_to_peak(values, apart, PEAK_WINDOW * band[1])
@@ -156,7 +161,7 @@ class Judge:
             if limit is not None:
                 above[b], ratio[b] = waves.above(values, apart, self.limits.statistic, limit)
             if blows is None:
-                blows = waves.impacts(values, apart)
+                blows = waves.impacts(values, apart, passage.before[b], passage.after[b])
         valid = np.count_nonzero(np.isfinite(passage.irregularity)) * step / length
         spectrum = None
         if valid >= self.settings.minimum_valid:

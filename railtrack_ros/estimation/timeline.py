@@ -8,6 +8,8 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
+from railtrack_ros.estimation.notes import Kind, Note
+
 Array = NDArray[np.float64]
 
 SECOND = 1_000_000_000  # ns
@@ -152,19 +154,24 @@ class SampleClock:
                 period = float(t[-1] - t[0]) / (t.size - 1) if t.size > 1 else self.step
                 self._leap = start_ns, start_ns + round(t.size * period * SECOND)
                 side = f'{back:.3f} s before' if back > 0.0 else f'{self.gap:.3f} s after'
-                return Place.DROPPED, (f'block dropped: stamped {side} the expected time, which '
-                                       'is believed when the next one goes on from it')
+                return Place.DROPPED, Note(
+                    f'block dropped: stamped {side} the expected time, which is believed when the '
+                    'next one goes on from it', Kind.LEAP)
             self.begun_ns = leap[0]
             if back > 0.0:
                 return Place.REWOUND, f'the clock was set back by {back:.3f} s: start anew'
         if back == 0.0:
-            return Place.DROPPED, 'block dropped: it has the stamp of the last one'
+            return Place.DROPPED, Note(
+                'block dropped: it has the stamp of the last one', Kind.NORMAL)
         if back > 0.0:
-            return Place.DROPPED, f'block dropped: {back:.3f} s before the last one'
+            return Place.DROPPED, Note(
+                f'block dropped: {back:.3f} s before the last one', Kind.NORMAL)
         if self.gap < 0.0:
             return Place.STARTED, f'blocks overlap by {-self.gap * 1e3:.3g} ms: start anew'
         lost = math.floor(self.gap / self.step + 0.5)
-        return Place.STARTED, f'gap of {self.gap:.4g} s ({lost} samples): start anew'
+        return Place.STARTED, Note(
+            f'gap of {self.gap:.4g} s ({lost} samples): start anew',
+            Kind.LONG_GAP if self.gap > CLOCK_RESET else Kind.GAP)
 
 
 class SamplePeriod:

@@ -54,7 +54,7 @@ class Spectrum:
             return np.asarray(10.0 * np.log10(square / 1e-12))
 
 
-def spectrum(irregularity: Array, step: float) -> Spectrum | None:
+def spectrum(irregularity: NDArray[np.floating], step: float) -> Spectrum | None:
     """Return the spectrum of the longest stretch without NaN, None where there is none.
 
     Half-overlapping segments of at most 10 m, each freed of its linear trend and weighted by a
@@ -68,7 +68,7 @@ def spectrum(irregularity: Array, step: float) -> Spectrum | None:
     size = min(stretch.size, round(SEGMENT / step))
     window, scale = _window(size)
     line = 1.0 / (size * step)
-    edges: Array = (np.arange(size // 2 + 2, dtype=np.float64) - 0.5) * line
+    edges = _edges(size, step)
     energy, moment = np.zeros(edges.size), np.zeros(edges.size)
     begins = range(0, stretch.size - size + 1, max(size // 2, 1))
     for begin in begins:
@@ -116,7 +116,11 @@ def dominant(found: Spectrum | None, shortest: float, longest: float, prominence
         return NOTHING
     centres, low, high, limit = _search(shortest, longest)
     excess = found.mean_square(low, high) / limit
-    best = int(np.argmax(excess))
+    # A peak has a lower level on either side: a rise towards an end of the range is none.
+    peaks = 1 + np.flatnonzero((excess[1:-1] > excess[:-2]) & (excess[1:-1] >= excess[2:]))
+    if not peaks.size:
+        return NOTHING
+    best = int(peaks[np.argmax(excess[peaks])])
     median = float(np.sort(excess)[excess.size // 2])
     if not excess[best] > 0.0 or (
         10.0 * math.log10(excess[best] / max(median, 1e-30)) < prominence
@@ -145,7 +149,7 @@ def allowed(low: ArrayLike, high: ArrayLike) -> Array:
     return _between(running, wavenumber, low, high)
 
 
-def longest_finite(values: Array) -> Array:
+def longest_finite(values: NDArray[np.floating]) -> NDArray[np.floating]:
     """Return the longest stretch of values (n,) without NaN."""
     if math.isfinite(float(values.sum())):
         return values
@@ -180,6 +184,14 @@ def _search(shortest: float, longest: float) -> tuple[Array, Array, Array, Array
                          dtype=np.float64)
     low, high = _sixth(centres)
     return centres, low, high, allowed(low, high)
+
+
+@lru_cache(maxsize=8)
+def _edges(size: int, step: float) -> Array:
+    """Wavenumbers [1/m] between the spectral lines of so many points: one for all sections."""
+    edges: Array = (np.arange(size // 2 + 2, dtype=np.float64) - 0.5) / (size * step)
+    edges.setflags(write=False)
+    return edges
 
 
 @lru_cache(maxsize=8)

@@ -10,19 +10,28 @@ from numpy.typing import NDArray
 from railtrack_ros.compiled import njit
 from railtrack_ros.estimation.limits import BandLimit
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 
 # An impact sticks out of its surroundings by this many standard deviations (told by the median,
-# which impacts do not move), by so many metres at least, and is over within this length [m].
+# which impacts do not move), by so many metres at least, and is over within this length [m]. What
+# is closer together than the gap [m] is one: a wheel crosses a joint, or the nose of a switch.
 IMPACT_HEIGHT = 7.0
 IMPACT_LEAST = 3e-6
-IMPACT_LENGTH = 0.6
+IMPACT_LENGTH = 1.0
+IMPACT_GAP = 0.6
 
 # At most this share of a section is impact: more is irregularity.
 IMPACT_SHARE = 0.08
 
-# What is largest this close to an end [m] belongs to the neighbour: corrugation that begins there.
+# What reaches into a section no further than this [m] from a longer rough stretch beyond belongs to
+# the neighbour: the filter's answer to corrugation that begins there.
 IMPACT_EDGE = 0.06
+
+# A blow this close to a section [m] is in its longer waves, too, and counts.
+IMPACT_REACH = 0.3
+
+# So much [m] on either side of a section is looked at: a blow that counts is seen as a whole.
+IMPACT_AROUND = IMPACT_LENGTH + IMPACT_REACH
 
 # The median is that of every so-many-th point.
 MEDIAN_OF_EVERY = 4
@@ -30,39 +39,78 @@ MEDIAN_OF_EVERY = 4
 NORMAL_MEDIAN = 0.6744897501960817  # of |x| of a standard normal x
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath={'reassoc', 'contract'})
 def square_sum(values):
     """Return the number of valid values (n,), and the sum of their squares."""
     count, total = 0, 0.0
-    for value in values:
-        if value == value:
-            count += 1
-            total += value * value
+    for n in range(values.size):
+        value = np.float64(values[n])
+        valid = value == value
+        count += valid
+        total += value * value if valid else 0.0
     return count, total
+
+
+# Weights of the points half a point, one and a half and two and a half away for the value between
+# two points: exact for constants and for waves of eight and of five points.
+_BETWEEN = np.linalg.solve(
+    2.0 * np.cos(np.pi * np.outer((0.0, 1.0 / 8.0, 1.0 / 5.0), (1.0, 3.0, 5.0))), np.ones(3))
+
+
+@njit(cache=True, nogil=True)
+def _between(values, n):
+    """Value half a point after point n, from the six points around; NaN without them."""
+    if n < 2 or n + 3 >= values.size:
+        return np.nan
+    return (_BETWEEN[0] * (values[n] + values[n + 1])
+            + _BETWEEN[1] * (values[n - 1] + values[n + 2])
+            + _BETWEEN[2] * (values[n - 2] + values[n + 3]))  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def _vertex(values, n):
+    """Place [points] and value of an extreme whose largest point is n.
+
+    That of the parabola through n, the larger one of its neighbours (the smaller one of a trough)
+    and the value between these two; through n and both neighbours where too few are around.
+    """
+    a, b, c = np.float64(values[n - 1]), np.float64(values[n]), np.float64(values[n + 1])
+    before = (a > c) == (2.0 * b > a + c)
+    between = _between(values, n - 1 if before else n)
+    if between == between:
+        end = a if before else c
+        bend = b - 2.0 * between + end
+        off = 0.5 * (b - end) / bend if bend != 0.0 else 0.0
+        half = -0.5 if before else 0.5
+        return n + half * (1.0 + off), between - 0.25 * (b - end) * off
+    bend = a - 2.0 * b + c
+    off = 0.5 * (a - c) / bend
+    return n + off, b - 0.25 * (a - c) * off
 
 
 @njit(cache=True, nogil=True)
 def peak_to_peaks(values, step):
     """Return places and heights (k,) of the rises and falls between neighbouring extremes.
 
-    values (n,), `step` [m] apart, NaN where not valid. Each extreme is that of the parabola
-    through three points; a place is the middle between two of them, from the first point on.
+    values (n,), `step` [m] apart, NaN where not valid. A place is the middle between two extremes,
+    from the first point on.
     """
-    places, heights = np.empty(values.size), np.empty(values.size)
-    count, last_place, last = 0, 0.0, np.nan
+    # Without a branch, for where the next extreme comes cannot be foretold.
+    extremes = np.empty(values.size + 1, dtype=np.int64)
+    found = 0
     for n in range(1, values.size - 1):
         a, b, c = values[n - 1], values[n], values[n + 1]
-        if a != a or b != b or c != c:
-            last = np.nan
-            continue
-        if (b > a and b >= c) or (b < a and b <= c):
-            bend = a - 2.0 * b + c
-            off = 0.5 * (a - c) / bend
-            extreme, place = b - 0.25 * (a - c) * off, (n + off) * step
-            if last == last:
-                places[count], heights[count] = 0.5 * (place + last_place), abs(extreme - last)
-                count += 1
-            last, last_place = extreme, place
+        extremes[found] = n
+        found += ((b > a) & (b >= c)) | ((b < a) & (b <= c)) | (b != b)
+    places, heights = np.empty(found), np.empty(found)
+    count, last_place, last = 0, 0.0, np.nan
+    for n in extremes[:found]:
+        place, extreme = _vertex(values, n)
+        if last == last and extreme == extreme:
+            places[count], heights[count] = (
+                0.5 * step * (place + last_place), abs(extreme - last))
+            count += 1
+        last, last_place = extreme, place
     return places[:count], heights[:count]
 
 
@@ -98,12 +146,15 @@ def share_of_rms_above(values, window, limit):
     window = max(1, min(window, values.size))
     total, valid, stretches, beyond = 0.0, 0, 0, 0
     for n in range(values.size):
-        if values[n] == values[n]:
-            total += values[n] * values[n]
+        value = np.float64(values[n])
+        if value == value:
+            total += value * value
             valid += 1
-        if n >= window and values[n - window] == values[n - window]:
-            total -= values[n - window] * values[n - window]
-            valid -= 1
+        if n >= window:
+            value = np.float64(values[n - window])
+            if value == value:
+                total -= value * value
+                valid -= 1
         if n >= window - 1 and 2 * valid >= window:
             stretches += 1
             if total > limit * limit * valid:
@@ -154,11 +205,19 @@ def above(values: Array, step: float, statistic: str, limit: BandLimit) -> tuple
     return share, float(np.mean(heights)) / limit.limit
 
 
-def impacts(values: Array, step: float) -> list[float]:
+def impacts(values: Array, step: float, before: Array | None = None, after: Array | None = None
+            ) -> list[float]:
     """Return the places [m from the first point] of short blows, as of joints and switches.
 
-    values (n,) [m] of the shortest band that is resolved, `step` [m] apart, NaN where not valid.
     A corrugated stretch, however short, lasts longer than a blow.
+
+    Parameters
+    ----------
+    values
+        (n,) [m] of the shortest band that is resolved, `step` [m] apart, NaN where not valid.
+    before, after
+        What precedes and follows, up to `IMPACT_AROUND`: a blow beside a border is one of the
+        sections on either side of it.
     """
     size = np.abs(values)
     some = np.sort(size[::MEDIAN_OF_EVERY])  # NaN comes last
@@ -166,16 +225,25 @@ def impacts(values: Array, step: float) -> list[float]:
     if not valid:
         return []
     threshold = max(IMPACT_HEIGHT * float(some[valid // 2]) / NORMAL_MEDIAN, IMPACT_LEAST)
-    high = np.flatnonzero(size > threshold)
+    around = np.abs(np.concatenate([part for part in (before, size, after) if part is not None]))
+    high = np.flatnonzero(around > threshold)
     if not high.size:
         return []
-    groups = np.split(high, np.flatnonzero(np.diff(high) * step > IMPACT_LENGTH) + 1)
-    short = [group for group in groups if (group[-1] - group[0]) * step <= IMPACT_LENGTH]
-    points = MEDIAN_OF_EVERY * valid
-    if len(short) < len(groups) or sum(g[-1] - g[0] + 1 for g in short) > IMPACT_SHARE * points:
-        return []
-    places = [float(group[np.argmax(size[group])]) * step for group in short]
-    return [x for x in places if IMPACT_EDGE < x < values.size * step - IMPACT_EDGE]
+    first = 0 if before is None else len(before)
+    last, reach = first + size.size, IMPACT_REACH / step
+    groups = np.split(high, np.flatnonzero(np.diff(high) * step > IMPACT_GAP) + 1)
+    found, points = [], 0
+    for group in groups:
+        inside = group[(group >= first) & (group < last)]
+        if (group[-1] - group[0]) * step > IMPACT_LENGTH:
+            if inside.size and (inside[-1] - inside[0]) * step > IMPACT_EDGE:
+                return []
+            continue
+        points += inside.size
+        place = int(group[np.argmax(around[group])])
+        if first - reach <= place < last + reach:
+            found.append((place - first) * step)
+    return found if points <= IMPACT_SHARE * MEDIAN_OF_EVERY * valid else []
 
 
 def _largest(values: Array) -> float:

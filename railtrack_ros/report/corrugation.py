@@ -203,6 +203,26 @@ def exceedance(data: CorrugationData) -> go.Figure:
     return figure
 
 
+def wheel_orders(wheels: Mapping[str, tuple[Array, Array]]) -> go.Figure:
+    """Draw the out-of-roundness of wheels by order.
+
+    By axle box: amplitudes and their standard deviations (orders,) [um].
+    """
+    figure = plots._figure(340, 'amplitude [µm]')
+    for number, (name, (amplitude, uncertainty)) in enumerate(wheels.items()):
+        orders = np.arange(1, amplitude.size + 1)
+        figure.add_trace(go.Scatter(
+            x=orders + 0.06 * (number - 0.5 * (len(wheels) - 1)), y=plots._short(amplitude),
+            mode='lines+markers', name=style.box_title(name), line={'width': 0.8},
+            marker={'size': 6}, customdata=orders,
+            error_y={'array': plots._short(uncertainty), 'thickness': 1.0, 'width': 2},
+            hovertemplate='order %{customdata}: %{y:.1f} µm'))
+    figure.update_xaxes(title_text='order', dtick=1, range=[0.4, 20.6])
+    figure.update_yaxes(rangemode='tozero')
+    figure.update_layout(margin={'t': 75})
+    return figure
+
+
 def energy_mean(levels: Array) -> Array:
     """Energy mean of levels (n, k) [dB] over n, NaN where none is given."""
     given = np.isfinite(levels)

@@ -15,7 +15,7 @@ from railtrack_ros.report import curves, style
 from railtrack_ros.report.corrugation import GREY, WAVELENGTHS_MM, CorrugationData, _with_holes
 
 COLOURS = LinearSegmentedColormap.from_list('excess', [
-    (0.0, '#f3f7fa'), (0.333, '#b9d2e4'), (0.334, '#fde3b8'), (0.6, '#ee8a35'), (1.0, '#8f1212')])
+    (0.0, '#f3f7fa'), (1 / 3, '#b9d2e4'), (1 / 3, '#fde3b8'), (0.6, '#ee8a35'), (1.0, '#8f1212')])
 
 
 def draw_sheet(path: str | Path, data: CorrugationData) -> None:
@@ -46,8 +46,14 @@ def _strip(axes: Axes, data: CorrugationData, band: int) -> None:
     for name, rail in data.rails.items():
         values = np.where(rail.excluded, np.nan, rail.rms[:, band])
         edges, cells = _with_holes(rail.start, rail.end, values[:, None])
+        colour = style.RAIL_COLOURS.get(name, style.MUTED)
         axes.stairs(cells[:, 0], edges, baseline=None, linewidth=1.8, label=f'{name} rail',
-                    color=style.RAIL_COLOURS.get(name, style.MUTED))
+                    color=colour)
+        struck = np.where(rail.excluded, rail.rms[:, band], np.nan)
+        if np.isfinite(struck).any():
+            edges, cells = _with_holes(rail.start, rail.end, struck[:, None])
+            axes.stairs(cells[:, 0], edges, baseline=None, linewidth=1.2, linestyle=':',
+                        label=f'{name}, excluded: impacts', color=colour)
     if data.rms_limits and np.isfinite(data.limits[band]):
         axes.axhline(data.limits[band], color=style.LIMIT, linestyle='--', linewidth=1.2,
                      label=f'limit, {data.limit_title}')
@@ -56,7 +62,7 @@ def _strip(axes: Axes, data: CorrugationData, band: int) -> None:
     axes.set_ylabel('RMS [µm]')
     axes.set_title(f'Combined irregularity, {data.bands[band]}', loc='left', fontsize=11)
     axes.set_ylim(top=1.2 * axes.get_ylim()[1])
-    axes.legend(loc='upper right', ncols=3, borderpad=0.1)
+    axes.legend(loc='upper right', ncols=3, borderpad=0.1, fontsize='small')
 
 
 def _map(axes: Axes, data: CorrugationData, name: str) -> QuadMesh:

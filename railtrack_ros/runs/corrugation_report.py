@@ -15,9 +15,10 @@ from railtrack_ros.estimation import roughness
 from railtrack_ros.estimation.analysis import Analysis
 from railtrack_ros.estimation.bands import band_title
 from railtrack_ros.estimation.rails import RailSection, Stretch, describe, length_of
+from railtrack_ros.estimation.wheels import pooled
 from railtrack_ros.output import metres
 from railtrack_ros.report.content import Card, Report, Table, Tile
-from railtrack_ros.report.corrugation import CorrugationData, RailData, card
+from railtrack_ros.report.corrugation import CorrugationData, RailData, card, wheel_orders
 from railtrack_ros.report.corrugation_sheet import draw_sheet
 from railtrack_ros.report.page import write_report
 from railtrack_ros.runs.indicators import Indicated
@@ -86,8 +87,8 @@ def write_report_of(path: str | Path, recording: str, found: Indicated, setting:
                           f'{worst.rail} rail, {metres(worst.start)} to {metres(worst.end)} m'))
     report = Report(
         title='Corrugation', subtitle=Path(recording).name, findings=findings, tiles=tiles,
-        cards=[card(data), Card('What to do', tables=[
-            _grind_table(grind), *_wheel_tables(found.analysis)])],
+        cards=[card(data), Card('What to do', tables=[_grind_table(grind)]),
+               *_wheel_cards(found.analysis)],
         parameters={
             'sections': {key: str(value) for key, value in asdict(found.judge.settings).items()},
             'limits': {'title': setting.judge.limits.title, 'source': setting.judge.limits.source,
@@ -125,14 +126,16 @@ def _rail(sections: list[RailSection], setting: Setting) -> RailData:
 
 def _grind_table(grind: Sequence[Row]) -> Table:
     def text(value: object, digits: int = 1, scale: float = 1.0) -> str:
-        return '' if not isinstance(value, (int, float)) else f'{scale * value:.{digits}f}'
+        return ('' if not isinstance(value, (int, float))
+                else f'{round(scale * value, digits) + 0.0:.{digits}f}')
 
     rows = [[
         str(row['rank']), str(row['rail']), f'{text(row["from_m"], 0)} - {text(row["to_m"], 0)}',
         text(row['length_m'], 0), str(row['level']), str(row['band_mm']), text(row['worst_um']),
         text(row['limit_um']), text(row['times_limit']),
         text(row['dominant_wavelength_m'], 0, 1e3), text(row['dominant_depth_um'], 0),
-        str(row['mechanism']), str(row['mechanism_certainty']), text(row['noise_index_db']),
+        str(row['mechanism'] or ('none known' if row['mechanism_certainty'] else '')),
+        str(row['mechanism_certainty']), text(row['noise_index_db']),
         text(row['spread_db']),
     ] for row in grind[:TABLE_ROWS]]  # fmt: skip
     columns = ('rank', 'rail', 'from - to [m]', 'length [m]', 'level', 'band [mm]', 'worst [µm]',
@@ -141,12 +144,14 @@ def _grind_table(grind: Sequence[Row]) -> Table:
     return Table('Stretches to grind' if rows else 'No stretch is above a limit',
                  columns if rows else (), rows,
                  'The worst section speaks for each; ranked by its ratio to the limit and the '
-                 'length.' + (f' The first {TABLE_ROWS} of {len(grind)}.'
+                 'length. Empty: wavelength, depth and mechanism where nothing stands out in the '
+                 'band, noise index where speed and sample rate resolve too little of it, spread '
+                 'where a single axle box ran.' + (f' The first {TABLE_ROWS} of {len(grind)}.'
                               if len(grind) > TABLE_ROWS else ''))
 
 
-def _wheel_tables(found: Analysis) -> list[Table]:
-    wheels = [wheel for wheel in found.wheels if not math.isnan(wheel.radius)]
+def _wheel_cards(found: Analysis) -> list[Card]:
+    wheels = [wheel for wheel in pooled(found.wheels) if not math.isnan(wheel.radius)]
     if not wheels:
         return []
     rows = []
@@ -157,8 +162,11 @@ def _wheel_tables(found: Analysis) -> list[Table]:
             f'{min(wheel.start, wheel.end):.0f} - {max(wheel.start, wheel.end):.0f}',
             f'{1e3 * wheel.radius:.2f}', f'{wheel.revolutions:.0f}',
             ', '.join(f'order {n + 1}: {1e6 * wheel.amplitude[n]:.1f}' for n in worst)])
-    del rows[TABLE_ROWS:]
-    return [Table('Wheels out of round', (
+    plot = wheel_orders({wheel.axle_box: (1e6 * wheel.amplitude, 1e6 * wheel.uncertainty)
+                         for wheel in wheels})
+    return [Card('Wheels out of round', [
+        ('By order', 'Amplitude of each order, that is of the waves around the wheel, with its '
+         'standard deviation: what the rail has in the same line cannot be told from it.', plot),
+    ], tables=[Table('Largest orders', (
         'axle box', 'from - to [m]', 'radius [mm]', 'revolutions', 'largest amplitudes [µm]'),
-        rows, 'Estimated from what repeats with the circumference, and taken off the rails.')]
-
+        rows, 'Estimated from what repeats with the circumference, and taken off the rails.')])]

@@ -23,6 +23,10 @@ Row = Mapping[str, str | float | int | None]
 
 FORMATS = ('.csv', '.parquet', '.geojson')
 
+# Digits of what has been measured; places are written as they are.
+DIGITS = 6
+PLACES = ('from_m', 'to_m', 'length_m', 'block_m', 'longitude_deg', 'latitude_deg')
+
 
 @dataclass(frozen=True)
 class Geography:
@@ -118,7 +122,7 @@ def check_format(path: str | Path, geography: Geography | None = None,
     """
     suffix = Path(path).suffix.lower()
     if suffix == '.parquet':
-        _parquet(path)
+        load_parquet(path)
     elif suffix == '.geojson':
         if known and geography is None:
             raise InputError(
@@ -129,7 +133,7 @@ def check_format(path: str | Path, geography: Geography | None = None,
 
 
 def write_table(path: str | Path, rows: Sequence[Row], geography: Geography | None = None,
-                columns: Sequence[str] = ()) -> None:
+                columns: Sequence[str] = (), exact: bool = False) -> None:
     """Write rows of equal keys as .parquet, .geojson, or else CSV; None is an empty field.
 
     Parameters
@@ -142,6 +146,8 @@ def write_table(path: str | Path, rows: Sequence[Row], geography: Geography | No
         Where the track is, for GeoJSON.
     columns
         Names of the columns, needed where there are no rows.
+    exact
+        Whether numbers are written to the last digit, or in six digits but for places.
 
     Raises
     ------
@@ -149,11 +155,13 @@ def write_table(path: str | Path, rows: Sequence[Row], geography: Geography | No
         GeoJSON without geography, or Parquet without pyarrow.
     """
     check_format(path, geography, known=True)
+    if not exact:
+        rows = [{name: _rounded(name, value) for name, value in row.items()} for row in rows]
     names = list(rows[0]) if rows else list(columns)
     table = {name: [row[name] for row in rows] for name in names}
     suffix = Path(path).suffix.lower()
     if suffix == '.parquet':
-        arrow, parquet = _parquet(path)
+        arrow, parquet = load_parquet(path)
         with replacing(path) as place:
             parquet.write_table(arrow.table(table), place)
     elif suffix == '.geojson':
@@ -166,6 +174,12 @@ def write_table(path: str | Path, rows: Sequence[Row], geography: Geography | No
         write_csv(path, table)
 
 
+def _rounded(name: str, value: str | float | int | None) -> str | float | int | None:
+    if not isinstance(value, float) or name in PLACES:
+        return value
+    return float(f'{value:.{DIGITS}g}')
+
+
 def _feature(row: Row, geography: Geography) -> dict[str, Any]:
     start, end = row['from_m'], row['to_m']
     assert isinstance(start, (int, float))
@@ -174,7 +188,8 @@ def _feature(row: Row, geography: Geography) -> dict[str, Any]:
             'geometry': {'type': 'LineString', 'coordinates': geography.line(start, end)}}
 
 
-def _parquet(path: str | Path) -> tuple[Any, Any]:
+def load_parquet(path: str | Path) -> tuple[Any, Any]:
+    """Return the modules pyarrow and pyarrow.parquet; InputError without them."""
     try:
         pyarrow, parquet = map(importlib.import_module, ('pyarrow', 'pyarrow.parquet'))
     except ImportError as error:

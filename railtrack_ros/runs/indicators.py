@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any
 import yaml
 
 from railtrack_ros.bags.bag import Bag, open_bag
-from railtrack_ros.bags.codec import WAVEFORM, decode_waveform
+from railtrack_ros.bags.codec import WAVEFORM
 from railtrack_ros.errors import InputError
 from railtrack_ros.estimation.analysis import Analysis, TrackAnalysis
 from railtrack_ros.estimation.indicators import HasAxleBoxes, SectionIndicators
@@ -20,6 +21,7 @@ from railtrack_ros.runs import configuration
 from railtrack_ros.runs.configuration import Configuration
 from railtrack_ros.runs.estimate import NODE
 from railtrack_ros.runs.indicator_tables import Geography, Places, write_table
+from railtrack_ros.runs.indicator_waveforms import waveform_table
 from railtrack_ros.runs.results import CONFIGURATION
 from railtrack_ros.vehicle.description import Vehicle
 
@@ -55,6 +57,7 @@ def indicators(
     progress: Callable[[float, float], None] = lambda done, total: None,
     filters: str = 'causal',
     analyse: bool = False,
+    waveforms: str | Path | None = None,
 ) -> Indicated:
     """Sum up the irregularity of a recording in sections.
 
@@ -74,6 +77,9 @@ def indicators(
         Of the sections: 'causal', the numbers of the live node, or 'zero-phase'.
     analyse
         Whether to analyse the rails, too: wheels set apart, axle boxes fused.
+    waveforms
+        Table (.csv, .parquet) into which the rails' band-limited waveforms are written as they
+        come; only with `analyse`.
 
     Raises
     ------
@@ -81,7 +87,7 @@ def indicators(
         No estimate in the recording, axle boxes that are not known, or no section that could be
         resolved.
     """
-    with open_bag(bag) as opened:
+    with open_bag(bag) as opened, contextlib.ExitStack() as stack:
         topic = irregularity_topic(opened, topic)
         known, content = _configuration(opened, topic)
         layout = _layout(opened, known, vehicle)
@@ -90,8 +96,13 @@ def indicators(
         analysis = None
         if analyse or filters == 'zero-phase':
             radius = vehicle.wheel.radius if vehicle else _wheel_radius(content)
+            take = None
+            if analyse and waveforms is not None:
+                rails = list(dict.fromkeys(box.rail for box in layout.axle_boxes))
+                take = stack.enter_context(waveform_table(waveforms, rails, stream.judge.bands))
             analysis = TrackAnalysis(
-                layout, settings, estimator, stream.judge.limits, radius if analyse else None)
+                layout, settings, estimator, stream.judge.limits, radius if analyse else None,
+                take)
         sections: list[Section] = []
         defects: list[str] = []
         start, total = opened.start_time, (opened.end_time - opened.start_time) / 1e9
@@ -104,7 +115,7 @@ def indicators(
                 if message.topic in fixes:
                     places.add_fix(opened.decode(message))
                     continue
-                block = decode_waveform(opened.decode(message))
+                block = opened.waveform(message)
                 if block.position is None:
                     raise InputError(f'{topic}: has no field position')
             except InputError as error:
@@ -141,8 +152,8 @@ def indicators(
 
 
 def write_sections(path: str | Path, sections: Sequence[Section]) -> None:
-    """Write sections as a table; what could not be resolved is empty."""
-    write_table(path, [section.row() for section in sections])
+    """Write sections as a table, to the last digit; what could not be resolved is empty."""
+    write_table(path, [section.row() for section in sections], exact=True)
 
 
 def irregularity_topic(bag: Bag, wanted: str | None) -> str:

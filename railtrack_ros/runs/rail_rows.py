@@ -20,6 +20,7 @@ from railtrack_ros.estimation.bands import band_title
 from railtrack_ros.estimation.mechanism import TrackFrequencies, classify
 from railtrack_ros.estimation.rails import BLOCKS, MERGE, RailSection, Stretch
 from railtrack_ros.estimation.section import LEVELS, Judge
+from railtrack_ros.estimation.wheels import pooled
 from railtrack_ros.irregularity.profile import reason
 from railtrack_ros.irregularity.spectra import iso3095_limit
 from railtrack_ros.track.description import Rail, Support, Track
@@ -40,8 +41,8 @@ SPECTRUM_COLUMNS = (
     'rail_above_iso3095_db', 'contact_filter', 'excluded',
 )  # fmt: skip
 WHEEL_COLUMNS = (
-    'axle_box', 'rail', 'from_m', 'to_m', 'revolutions', 'radius_m', 'order', 'amplitude_um',
-    'uncertainty_um', 'level_db',
+    'axle_box', 'rail', 'from_m', 'to_m', 'reaches', 'revolutions', 'radius_m', 'order',
+    'amplitude_um', 'uncertainty_um', 'level_db',
 )  # fmt: skip
 
 
@@ -238,11 +239,17 @@ def spectrum_rows(found: Analysis, setting: Setting) -> list[Row]:
 
 
 def wheel_rows(found: Analysis) -> list[Row]:
-    """Rows of the wheels' out-of-roundness by order; one empty row for a wheel that is round."""
+    """Rows of the wheels' out-of-roundness by order; one empty row for a wheel that is round.
+
+    First the mean of each wheel over all reaches, then reach by reach where there are several.
+    """
     rows: list[Row] = []
-    for wheel in found.wheels:
+    means = pooled(found.wheels)
+    several = [wheel for wheel in found.wheels
+               if any(m.axle_box == wheel.axle_box and m.reaches > 1 for m in means)]
+    for wheel in (*means, *several):
         place = (wheel.axle_box, wheel.rail, min(wheel.start, wheel.end),
-                 max(wheel.start, wheel.end), wheel.revolutions)  # fmt: skip
+                 max(wheel.start, wheel.end), wheel.reaches, wheel.revolutions)  # fmt: skip
         if math.isnan(wheel.radius):
             rows.append(dict(zip(WHEEL_COLUMNS, (*place, *[None] * 5), strict=True)))
             continue
