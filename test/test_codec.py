@@ -3,6 +3,7 @@ import math
 import random
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from railtrack_ros.bags import codec
 from railtrack_ros.bags.codec import SECOND, Status, WaveformBlock
 from railtrack_ros.bags.message_types import LIVE, OFFLINE
+from railtrack_ros.bags.waveform_cdr import WaveformReader, waveform_bytes
 from railtrack_ros.errors import InputError
 
 BOTH = pytest.mark.parametrize('types', [LIVE, OFFLINE], ids=['rclpy', 'rosbags'])
@@ -90,6 +92,43 @@ def test_live_and_offline_messages_hold_the_same_bytes():
     offline = codec.encode_waveform(block(), OFFLINE)
     assert bytes(live.data) == offline.data.tobytes()
     assert len(serialize_message(live)) == len(OFFLINE.serialize(offline))
+
+
+@pytest.mark.parametrize('samples', [1, 255])
+def test_the_short_way_to_bytes_gives_those_of_the_message_classes(samples):
+    for expected in (block(samples), block(samples, channels=2),
+                     replace(block(samples), position=None, stamp_ns=-5, frame_id='Wagen ü')):
+        for channel in (None, 'axle1_left'):
+            if channel is not None:
+                expected.channels[channel][0] = np.inf
+            message = codec.encode_waveform(expected, OFFLINE)
+            assert message.is_dense == (channel is None)
+            assert waveform_bytes(expected) == OFFLINE.serialize(message)
+
+
+def test_a_reader_of_many_messages_reads_each_as_if_it_were_the_only_one():
+    reader = WaveformReader()
+    blocks = [block(8), block(8), block(9), block(9, channels=2), block(9, channels=2), block(8)]
+    blocks += [replace(block(8), stamp_ns=k * SECOND + 7, frame_id='x' * k) for k in range(3)]
+    for number, expected in enumerate(blocks):
+        expected.channels['axle1_left'][0] = number
+        data = waveform_bytes(expected)
+        found = reader.read(data)
+        same(found, expected)
+        assert not np.shares_memory(found.t, np.frombuffer(data, np.uint8))
+        cut = reader.read(serialize_message(codec.encode_waveform(expected, LIVE)))
+        same(cut, expected)
+
+
+def test_a_reader_of_many_messages_refuses_each_damaged_one():
+    reader = WaveformReader()
+    good = waveform_bytes(block(16))
+    same(reader.read(good), block(16))
+    nanosec = good[:8] + (2 * SECOND).to_bytes(4, 'little') + good[12:]
+    for bad in (good[:-20], nanosec, b'\0\0\0\0' + good[4:], good[:200] + good[204:], b''):
+        with pytest.raises(InputError):
+            reader.read(bad)
+        same(reader.read(good), block(16))
 
 
 def test_each_side_decodes_what_the_other_serialized():

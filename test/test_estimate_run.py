@@ -221,6 +221,19 @@ def test_settings_are_options(run, vehicle, tmp_path):
     assert '' not in {row['rms_30_100_um'] for row in rows}
 
 
+def test_the_report_has_the_plots_of_the_rails_for_the_bands_and_limits_asked_for(
+        run, vehicle, tmp_path):
+    page = tmp_path / 'page.html'
+    assert estimate(run, vehicle, tmp_path / 'out.mcap', '--report', str(page), '--section', '5',
+                    '--bands', '60-200,200-500', '--limits', 'en_13231_3_2012') == 0
+    text = page.read_text()
+    for words in ('Corrugation of the rails', 'Wavelength and place', 'Spectrum against ISO 3095',
+                  'Exceedance', '60-200 mm', '200-500 mm'):
+        assert words in text, words
+    assert '30-100 mm:' not in text
+    assert '1999' not in text.split('<script>')[0]
+
+
 def test_summary_is_machine_readable(run, vehicle, tmp_path, capsys):
     assert estimate(run, vehicle, tmp_path / 'out.mcap', '--json') == 0
     summary = json.loads(capsys.readouterr().out)
@@ -416,6 +429,7 @@ def test_neighbours_of_a_dead_axle_box_are_warned_of(run, tmp_path, capsys):
     ('garbage', 'message at'),
     ('silent', 'no speed for'),
     ('clock', 's before the expected time, which is believed'),
+    ('leap', '1000000.000 s after the expected time, which is believed'),
 ])
 def test_defects_are_told_and_the_rest_is_estimated(case, words, vehicle, tmp_path, capsys):
     channels = accelerations(1.0)
@@ -432,6 +446,9 @@ def test_defects_are_told_and_the_rest_is_estimated(case, words, vehicle, tmp_pa
     elif case == 'clock':
         bag = rewritten(bag, tmp_path / 'jump.mcap', at_half_time(
             lambda m, c: [again(m, c, -60 * SECOND), m]))
+    elif case == 'leap':
+        bag = rewritten(bag, tmp_path / 'leap.mcap', lambda m, c, seconds: [
+            again(m, c, 1_000_000 * SECOND) if m[0] != '/speed' and 0.505 < seconds < 0.515 else m])
     output = tmp_path / 'out.mcap'
     options = ['--speed-timeout', '0.2'] if case == 'silent' else []
     assert estimate(bag, vehicle, output, *options) == 3

@@ -1,5 +1,6 @@
 import json
 import sys
+import tracemalloc
 
 import h5py
 import numpy as np
@@ -626,3 +627,69 @@ def test_the_command_takes_sensors_as_they_are(tmp_path, capsys):
     assert main(['import', str(path), '--channels', 'left,right', '--speed', '15',
                  '--undo-high-pass', '900', str(tmp_path / 'out.mcap')]) == 2
     assert 'above a tenth of the sample rate' in capsys.readouterr().err
+
+
+# Memory
+
+
+def many_ways(tmp_path):
+    """Yield imports that go through every step: file, how, and what the recording is called."""
+    rng = np.random.default_rng(3)
+    left, right = LEFT.copy(), RIGHT.copy()
+    left[[0, 1, 500, 776, 777, 778, 1554, N - 1]] = np.nan
+    left[1990:2030] = np.nan
+    time = TIME + np.where(TIME > 1.2, 0.3, 0.0)
+    v = SPEED + 0.1 * rng.standard_normal(N)
+    v[[0, 700, 777, N - 2, N - 1]] = np.nan
+    columns = {'time': time, 'left': left, 'right': right, 'v': v}
+    known = np.interp(np.arange(N), np.flatnonzero(np.isfinite(v)), v[np.isfinite(v)])
+    columns['x'] = 100.0 + scipy.integrate.cumulative_trapezoid(known, TIME, initial=0.0)
+    columns['v m/s'] = known
+    files = [npz(tmp_path / 'a.npz', **columns),
+             npz(tmp_path / 'b.npz', rows=np.stack(list(columns.values()), axis=1)),
+             csv(tmp_path / 'c.csv', {
+                 k: ['' if np.isnan(value) else repr(float(value)) for value in x]
+                 for k, x in columns.items()})]
+    for path, names in zip(files, [list(columns), [f'rows[{k}]' for k in range(6)],
+                                   list(columns)], strict=True):
+        time, left, right, v, x, steady = names
+        channels = f'{left}=left,{right}=right'
+        yield path, settings(channels, time_column=time, speed_column=v)
+        yield path, settings(channels, time_column=time, speed_column=v, decimate=2,
+                             undo_high_pass=HighPass.parse('5:2'),
+                             calibration={'left': Calibration(0.1, 0.5, True)})
+        yield path, settings(channels, position_column=x, speed_column=steady)
+
+
+def test_a_file_read_in_pieces_gives_what_it_gives_as_a_whole(tmp_path, monkeypatch):
+    modules = [sys.modules[f'railtrack_ros.bags.{name}']
+               for name in ('columns', 'importers', 'stretches', 'tables')]
+    for number, (path, how) in enumerate(many_ways(tmp_path)):
+        found = []
+        for piece in (1 << 16, 777):
+            for module in modules:
+                monkeypatch.setattr(module, 'PIECE', piece)
+            found.append(imported(tmp_path, path, how))
+        (whole, waves), (summary, pieces) = found
+        assert (summary.samples, summary.gaps, summary.missing, summary.notes) == (
+            whole.samples, whole.gaps, whole.missing, whole.notes), number
+        assert summary.distance == pytest.approx(whole.distance, rel=1e-12)
+        np.testing.assert_array_equal(pieces.time_ns, waves.time_ns)
+        for name, samples in waves.channels.items():
+            np.testing.assert_allclose(pieces.channels[name], samples, rtol=1e-6, atol=1e-6)
+            assert np.isfinite(samples).mean() > 0.5
+
+
+def test_memory_of_an_import_does_not_grow_with_the_file(tmp_path):
+    def most(rows):
+        path = npz(tmp_path / f'{rows}.npz', left=np.ones(rows), v=np.full(rows, 20.0))
+        how = settings('left', sample_rate=10e3, speed_column='v', decimate=2,
+                       undo_high_pass=HighPass.parse('0.5'))
+        tracemalloc.start()
+        import_measurement(path, tmp_path / 'out.mcap', how)
+        largest = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return largest
+
+    few = most(300_000)
+    assert most(1_200_000) < 1.2 * few

@@ -329,6 +329,8 @@ def test_the_report_tells_what_was_found(replayed):
     assert any('true irregularity comes back' in text for text in result.report.findings)
     assert 'Butterworth high-pass of order 4' in page
     assert 'distributed, every 0.6 m' in page
+    for plot in ('Along the track', 'Wavelength and place', 'Exceedance'):
+        assert f'<h3>{plot}</h3>' in page
     assert len(page.encode()) < 10e6
 
 
@@ -604,3 +606,17 @@ axle_boxes:
     # Another support than that of the run: worse than with the right one, and still alike.
     assert 0.02 < force['rms_difference'] / force['rms_reference'] < 0.5
     assert 'concentrated, every 0.6 m' in (output / 'report.html').read_text()
+
+
+def test_where_there_is_no_truth_to_speak_of_its_error_is_counted_and_not_told(replayed, bogie):
+    found = replayed[1].replayed
+    quiet = [dataclasses.replace(e, rms_reference=1e-3 * e.rms_compared,
+                                 rms_difference=e.rms_compared)
+             if e.reference == 'truth' and e.band == 'frequency' and e.frequency < 60.0 else e
+             for e in found.errors]
+    report = replay_report(dataclasses.replace(found, errors=quiet), bogie, About('Quiet', 'run'))
+    told = [text for text in report.findings if 'true' in text]
+    assert len(told) == 2
+    assert all('in which the difference is larger than the true one' in text for text in told)
+    assert not any('60.00 dB' in text for text in told)
+    assert not any('left out' in text for text in replayed[1].report.findings)

@@ -122,8 +122,9 @@ def without_library(page):
 
 def test_every_part_of_a_full_report_is_there(full_report):
     page = render(full_report)
-    assert {'Corrugation along the track', 'Irregularity', 'Spectrum in one-third octaves',
-            'Contact force', 'How well they agree', 'Live latency', 'How it was computed',
+    assert {'Corrugation by axle box, as told live', 'Irregularity',
+            'Spectrum in one-third octaves', 'Contact force', 'How well they agree',
+            'Live latency', 'How it was computed',
             'Stretches above the limit'} <= set(headings(page))
     assert len(figures(page)) == 7
     for text in ('0.31 dB', 'mainline_soft_pads', 'High-pass of order 4.', 'Limits of somebody.'):
@@ -144,7 +145,7 @@ def test_a_measured_run_has_no_parts_about_truth_latency_or_limits(full_report):
         spectra={'axle1_left': Spectrum(np.array([1.0, 0.5]), {'estimated': np.array([1.0, 2.0])})},
         waveforms=[waveform_plot('Contact force', 'contact force', ('full_model', 'estimated'))])
     page = render(measured)
-    assert not {'Live latency', 'Corrugation along the track'} & set(headings(page))
+    assert not {'Live latency', 'Corrugation by axle box, as told live'} & set(headings(page))
     names = {trace['name'] for figure in figures(page) for trace in figure['data']}
     assert 'estimated' in names
     assert 'true' not in names
@@ -292,7 +293,8 @@ def test_the_page_of_an_estimate_tells_what_it_was_computed_with(table_3_1, tmp_
                       defects=['run.mcap: lead: 3 of 100 samples are no number'],
                       remarks=['run.mcap: gap of 0.05 s'])
     path = tmp_path / 'estimate.html'
-    report = write_estimate_report(path, 'run.mcap', found, table_3_1, coach, IndicatorSettings())
+    report = write_estimate_report(path, 'run.mcap', found, table_3_1, coach, IndicatorSettings(),
+                                   tmp_path / 'estimate.mcap')
     page = path.read_text()
     for text in ('recording has defects: run.mcap: lead: 3 of', 'In the recording: run.mcap: gap',
                  'cut on wavelength', '3.0 m', __version__, '25600 Hz',

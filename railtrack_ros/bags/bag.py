@@ -6,6 +6,7 @@ import heapq
 import itertools
 import os
 import re
+from collections import defaultdict
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,9 +15,11 @@ from typing import Any, Protocol
 
 import yaml
 
-from railtrack_ros.bags.mcap_file import FACTS, MAGIC, McapFile, RawMessage, Topic
+from railtrack_ros.bags.codec import WAVEFORM, WaveformBlock
+from railtrack_ros.bags.mcap_file import FACTS, MAGIC, McapFile, RawMessage, Topic, Wanted
 from railtrack_ros.bags.message_types import OFFLINE
 from railtrack_ros.bags.sqlite_bag import SQLITE_MAGIC, RosbagsStorage, SalvagedSqlite, is_cut
+from railtrack_ros.bags.waveform_cdr import WaveformReader
 from railtrack_ros.errors import InputError
 
 ROS1_MAGIC = b'#ROSBAG'
@@ -34,16 +37,15 @@ class Storage(Protocol):
     def topics(self) -> Sequence[Topic]:
         """Return the topics; one may occur more than once."""
 
-    def messages(
-        self,
-        topics: Collection[str] | None = None,
-        since: int | None = None,
-        until: int | None = None,
-    ) -> Iterator[RawMessage]:
-        """Yield messages with since <= log time < until [ns] in the order of their log time."""
+    def messages(self, wanted: Wanted) -> Iterator[RawMessage]:
+        """Yield the messages that are wanted, as far as possible in the order of log time."""
 
     def close(self) -> None:
         """Close what is open."""
+
+
+class NoTopic(InputError):
+    """There is no topic of the type, or none of the name, that was looked for."""
 
 
 class Bag:
@@ -64,6 +66,7 @@ class Bag:
     def __init__(self, path: Path, storages: list[Storage], notes: list[str]) -> None:
         self.path = path
         self._storages = storages
+        self._waveforms: defaultdict[str, WaveformReader] = defaultdict(WaveformReader)
         self._notes = notes
         self.topics: dict[str, Topic] = {}
         for topic in itertools.chain.from_iterable(storage.topics for storage in storages):
@@ -103,12 +106,14 @@ class Bag:
         Only those with since <= log time < until [ns] come. Only a few chunks of the files are in
         memory at a time; files are merged where they overlap in time.
         """
+        wanted = Wanted(topics, Wanted().since if since is None else since,
+                        Wanted().until if until is None else until)
         waiting = [storage for storage in self._storages if any(x.count for x in storage.topics)]
         reading: list[tuple[int, int, RawMessage, Iterator[RawMessage]]] = []
         for number in range(len(waiting)):
             begin = waiting[number].start_time
             yield from self._earliest(reading, begin)
-            stream = waiting[number].messages(topics, since, until)
+            stream = waiting[number].messages(wanted)
             self._next(reading, number, stream)
         yield from self._earliest(reading, None)
 
@@ -142,15 +147,34 @@ class Bag:
         InputError
             The bytes are not a message of that type, or the type is not a common one.
         """
-        if self.topics[message.topic].encoding != 'cdr':
-            encoding = self.topics[message.topic].encoding
-            raise InputError(f'{message.topic}: is encoded as {encoding!r}, expected cdr')
+        self._check_encoding(message)
         if not OFFLINE.knows(message.type):
             raise InputError(f'{message.topic}: unknown message type {message.type!r}')
         try:
             return OFFLINE.deserialize(message.data, message.type)
         except InputError as error:
             raise InputError(f'{message.topic}: {error}') from error
+
+    def waveform(self, message: RawMessage) -> WaveformBlock:
+        """Return the samples of a message of a waveform topic.
+
+        Raises
+        ------
+        InputError
+            The message is no waveform (:func:`~railtrack_ros.bags.codec.decode_waveform`).
+        """
+        self._check_encoding(message)
+        if message.type != WAVEFORM:
+            raise InputError(f'{message.topic}: is a {message.type}, expected {WAVEFORM}')
+        try:
+            return self._waveforms[message.topic].read(message.data)
+        except InputError as error:
+            raise InputError(f'{message.topic}: {error}') from error
+
+    def _check_encoding(self, message: RawMessage) -> None:
+        encoding = self.topics[message.topic].encoding
+        if encoding != 'cdr':
+            raise InputError(f'{message.topic}: is encoded as {encoding!r}, expected cdr')
 
     def topic(self, wanted: str | None, usual: str, types: Collection[str], content: str) -> str:
         """Return the topic to read: the wanted one, the usual one, or the only one of its type.
@@ -185,7 +209,7 @@ class Bag:
                     f'expected {" or ".join(types)} for the {content}'
                 )
             if wanted is not None:
-                raise InputError(f'{self.path}: no topic {name}; there are: {listed}')
+                raise NoTopic(f'{self.path}: no topic {name}; there are: {listed}')
         measured = [name for name in candidates if not _is_result(name)]
         if len(measured) == 1:
             return measured[0]
@@ -193,7 +217,7 @@ class Bag:
             raise InputError(
                 f'{self.path}: the {content} may be any of {", ".join(measured)}; say which'
             )
-        raise InputError(
+        raise NoTopic(
             f'{self.path}: no topic with the {content} ({" or ".join(types)}); there are: {listed}'
         )
 

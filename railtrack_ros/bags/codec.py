@@ -109,16 +109,27 @@ def decode_stamp(message: Any) -> int:
         seconds, nanoseconds = int(message.header.stamp.sec), int(message.header.stamp.nanosec)
     except (AttributeError, TypeError, ValueError) as error:
         raise InputError(f'header.stamp: not a time ({error})') from error
+    return join_stamp(seconds, nanoseconds)
+
+
+def join_stamp(seconds: int, nanoseconds: int) -> int:
+    """Return a stamp in nanoseconds since the epoch."""
     if not 0 <= nanoseconds < SECOND:
         raise InputError(f'header.stamp.nanosec: {nanoseconds}, expected less than {SECOND}')
     return seconds * SECOND + nanoseconds
 
 
-def encode_header(stamp_ns: int, frame_id: str, types: MessageTypes) -> Any:
-    """Return a std_msgs/msg/Header for a time in nanoseconds since the epoch."""
+def split_stamp(stamp_ns: int) -> tuple[int, int]:
+    """Return seconds and nanoseconds of a stamp; InputError where no message can hold it."""
     seconds, nanoseconds = divmod(int(stamp_ns), SECOND)
     if not -(2**31) <= seconds < 2**31:
         raise InputError(f'time stamp {stamp_ns} ns: outside what a ROS 2 message can hold')
+    return seconds, nanoseconds
+
+
+def encode_header(stamp_ns: int, frame_id: str, types: MessageTypes) -> Any:
+    """Return a std_msgs/msg/Header for a time in nanoseconds since the epoch."""
+    seconds, nanoseconds = split_stamp(stamp_ns)
     time = types.get('builtin_interfaces/msg/Time')(sec=seconds, nanosec=nanoseconds)
     return types.get('std_msgs/msg/Header')(stamp=time, frame_id=str(frame_id))
 
@@ -150,13 +161,19 @@ def decode_waveform(message: Any) -> WaveformBlock:
     """
     try:
         points = _points(message)
-        stamp_ns, frame_id = decode_stamp(message), str(message.header.frame_id)
+        stamp, frame_id = message.header.stamp, str(message.header.frame_id)
+        seconds, nanoseconds = int(stamp.sec), int(stamp.nanosec)
     except (AttributeError, TypeError, ValueError, OverflowError, MemoryError) as error:
         raise InputError(f'not a {WAVEFORM} of samples: {error}') from error
-    columns = {
-        name: points[name].astype(points.dtype[name].newbyteorder('='))
-        for name in points.dtype.names or ()
-    }
+    return block_of(points, seconds, nanoseconds, frame_id)
+
+
+def block_of(points: np.ndarray, seconds: int, nanoseconds: int, frame_id: str) -> WaveformBlock:
+    """Return the samples (n,) of a structured array as a block; see `decode_waveform`."""
+    stamp_ns = join_stamp(seconds, nanoseconds)
+    if not points.dtype.isnative:
+        points = points.astype(points.dtype.newbyteorder('='))
+    columns = {name: points[name].copy() for name in points.dtype.names or ()}
     t = columns.pop('t').astype(np.float64, copy=False)
     _check_times(t)
     position = columns.pop('position', None)
@@ -179,12 +196,16 @@ def _points(message: Any) -> np.ndarray:
             f'data: {size} bytes, row_step {message.row_step}, expected {width * step} '
             f'(width {width} times point_step {step})'
         )
+    octets = np.frombuffer(message.data, np.uint8)
+    return octets[: width * step].view(waveform_layout(message))
+
+
+def waveform_layout(message: Any) -> np.dtype:
+    """Return the structured type of a point of a message; InputError where it is no waveform."""
     fields = tuple(
         (str(x.name), int(x.offset), int(x.datatype), int(x.count)) for x in message.fields
     )
-    layout = _layout(fields, step, '>' if message.is_bigendian else '<')
-    octets = np.frombuffer(message.data, np.uint8)
-    return octets[: width * step].view(layout)
+    return _layout(fields, int(message.point_step), '>' if message.is_bigendian else '<')
 
 
 @functools.lru_cache(maxsize=64)
@@ -252,28 +273,58 @@ def encode_waveform(block: WaveformBlock, types: MessageTypes) -> Any:
     as FLOAT64 field `position`. The same arrays always give the same bytes of `data`, whichever
     `types` the message is made of; `is_dense` tells that no sample is NaN or infinite.
     """
-    columns = [('t', 'f8', block.t), *((n, 'f4', x) for n, x in block.channels.items())]
-    if block.position is not None:
-        columns.append(('position', 'f8', block.position))
-    points = np.empty(block.samples, np.dtype([(name, '<' + kind) for name, kind, _ in columns]))
-    for name, _, samples in columns:
-        points[name] = samples
-    point_field = types.get('sensor_msgs/msg/PointField')
-    fields, offset = [], 0
-    for name, kind, _ in columns:
-        fields.append(point_field(name=name, offset=offset, datatype=NUMBER_OF[kind], count=1))
-        offset += int(kind[-1])
+    points = points_of(block)
+    names, tracked = tuple(block.channels), block.position is not None
     return types.get(WAVEFORM)(
         header=encode_header(block.stamp_ns, block.frame_id, types),
         height=1,
         width=block.samples,
-        fields=fields,
+        fields=_fields(names, tracked, types),
         is_bigendian=False,
         point_step=points.itemsize,
         row_step=points.nbytes,
         data=types.octets(points.tobytes()),
-        is_dense=all(bool(np.isfinite(points[name]).all()) for name, _, _ in columns),
+        is_dense=is_dense(points, len(names)),
     )
+
+
+def points_of(block: WaveformBlock) -> np.ndarray:
+    """Return the samples of a block as a structured array (n,), as they stand in a message."""
+    layout = _outgoing(tuple(block.channels), block.position is not None)
+    points = np.empty(block.samples, layout)
+    points['t'] = block.t
+    for name, samples in block.channels.items():
+        points[name] = samples
+    if block.position is not None:
+        points['position'] = block.position
+    return points
+
+
+@functools.lru_cache(maxsize=64)
+def _outgoing(names: tuple[str, ...], tracked: bool) -> np.dtype:
+    """Return the type of a point that is written."""
+    columns = [('t', '<f8'), *((name, '<f4') for name in names)]
+    return np.dtype([*columns, ('position', '<f8')] if tracked else columns)
+
+
+@functools.lru_cache(maxsize=64)
+def _fields(names: tuple[str, ...], tracked: bool, types: MessageTypes) -> list[Any]:
+    """Return the fields of a message that is written."""
+    layout = _outgoing(names, tracked)
+    point_field = types.get('sensor_msgs/msg/PointField')
+    return [
+        point_field(name=name, offset=offset, datatype=NUMBER_OF[kind.str[1:]], count=1)
+        for name, (kind, offset, *_) in (layout.fields or {}).items()
+    ]
+
+
+def is_dense(points: np.ndarray, channels: int) -> bool:
+    """Return whether no value of points is NaN or infinite."""
+    octets = points.view(np.uint8).reshape(points.size, -1)
+    samples = octets[:, 8:8 + 4 * channels].view('<f4')
+    rest = octets[:, 8 + 4 * channels:].view('<f8')
+    return bool(np.isfinite(samples).all() and np.isfinite(rest).all()
+                and np.isfinite(points['t']).all())
 
 
 # Speed and position

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import heapq
 import json
+import struct
 import zlib
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
@@ -21,7 +22,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
 from mcap.records import Channel, Chunk, Message, Metadata, Schema
-from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.stream_reader import StreamReader, breakup_chunk, get_chunk_data_stream
 from mcap.summary import Summary
 
 from railtrack_ros.errors import InputError
@@ -34,6 +35,9 @@ FACTS_CHECKSUM = 'crc32'
 
 FOOTER_SIZE = 9 + 20 + len(MAGIC)  # footer record with its checksum last, then the magic again
 LARGEST_CHUNK = 1 << 30
+RECORD = struct.Struct('<BQ')  # kind and length of a record
+MESSAGE = struct.Struct('<H4xQ')  # channel and log time in the head of a message
+MESSAGE_HEAD = 22
 SPAN_SIZE = 1 << 20
 
 # Damaged bytes end in many kinds of errors inside the decompressors and the record reader
@@ -58,6 +62,14 @@ class RawMessage(NamedTuple):
     type: str
     log_time: int
     data: bytes
+
+
+class Wanted(NamedTuple):
+    """Messages of some topics (None: of all) with since <= log time < until [ns]."""
+
+    topics: Collection[str] | None = None
+    since: int = -1
+    until: int = 1 << 64
 
 
 class Span(NamedTuple):
@@ -86,6 +98,22 @@ def duration(nanoseconds: int) -> str:
     """Return a stretch of a recording in words; damaged bytes may tell any number."""
     seconds = nanoseconds / 1e9
     return f'{seconds:.3f} s' if 0.0 <= seconds < 86400.0 else 'a stretch of unknown length'
+
+
+def _messages(data: bytes, channels: Collection[int]) -> Iterator[tuple[int, int, bytes]]:
+    """Yield channel, log time and data of the messages of some channels among records."""
+    at = 0
+    while at < len(data):
+        opcode, length = RECORD.unpack_from(data, at)
+        begin, at = at + RECORD.size, at + RECORD.size + length
+        if at > len(data):
+            raise ValueError('a record is longer than what it stands in')
+        if opcode == Opcode.MESSAGE:
+            channel, time = MESSAGE.unpack_from(data, begin)
+            if length < MESSAGE_HEAD:
+                raise ValueError('a message is shorter than its head')
+            if channel in channels:
+                yield channel, time, data[begin + MESSAGE_HEAD:at]
 
 
 class McapFile:
@@ -148,45 +176,38 @@ class McapFile:
             for number, channel in self._channels.items()
         ]
 
-    def messages(
-        self,
-        topics: Collection[str] | None = None,
-        since: int | None = None,
-        until: int | None = None,
-    ) -> Iterator[RawMessage]:
-        """Yield the messages of some topics (None: of all) in the order of their log time.
+    def messages(self, wanted: Wanted) -> Iterator[RawMessage]:
+        """Yield the messages that are wanted in the order of their log time.
 
         Messages of equal log time come in the order in which they stand in the file. A chunk
-        that turns out damaged is left out and told in `notes`. Only messages with
-        since <= log time < until [ns] come; chunks without any are not read.
+        that turns out damaged is left out and told in `notes`; one without a wanted time is
+        not read.
         """
-        first, last = -1 if since is None else since, 2**64 if until is None else until
+        first, last = wanted.since, wanted.until
+        channels = {
+            number: (channel.topic, type_name(self._schemas.get(channel.schema_id)))
+            for number, channel in self._channels.items()
+            if wanted.topics is None or channel.topic in wanted.topics
+        }
         waiting: list[tuple[int, int, int, RawMessage]] = []
         for span in sorted(x for x in self._spans if x.end_time >= first and x.start_time < last):
             while waiting and waiting[0][0] < span.start_time:
                 yield heapq.heappop(waiting)[-1]
-            for index, record in enumerate(self._records(span)):
-                if not isinstance(record, Message) or not first <= record.log_time < last:
-                    continue
-                channel = self._channels.get(record.channel_id)
-                if channel is None or (topics is not None and channel.topic not in topics):
-                    continue
-                kind = type_name(self._schemas.get(channel.schema_id))
-                message = RawMessage(channel.topic, kind, record.log_time, record.data)
-                heapq.heappush(waiting, (record.log_time, span.offset, index, message))
+            for index, (channel, time, data) in enumerate(self._read(span, channels)):
+                if first <= time < last:
+                    message = RawMessage(*channels[channel], time, data)
+                    heapq.heappush(waiting, (time, span.offset, index, message))
         while waiting:
             yield heapq.heappop(waiting)[-1]
 
-    def _records(self, span: Span) -> list[object]:
-        """Return the records of a span, none where it is damaged."""
+    def _read(self, span: Span, channels: Collection[int]) -> list[tuple[int, int, bytes]]:
+        """Return channel, log time and data of the messages of a span; none if it is damaged."""
         try:
-            self._file.seek(span.offset)
             if span.chunked:
-                chunk = self._chunk_here(span.offset)
-            else:
-                data = self._file.read(span.length)
-                chunk = Chunk('', data, span.end_time, span.start_time, 0, len(data))
-            return list(breakup_chunk(chunk, validate_crc=True))
+                stream, length = get_chunk_data_stream(self._chunk_here(span.offset), True)
+                return list(_messages(stream.read(length), channels))
+            self._file.seek(span.offset)
+            return list(_messages(self._file.read(span.length), channels))
         except DAMAGE as error:
             self._lose(span.offset, span.start_time, span.end_time, str(error))
             return []

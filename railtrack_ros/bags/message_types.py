@@ -29,6 +29,9 @@ class MessageTypes(Protocol):
     def octets(self, data: bytes) -> Any:
         """Return bytes in the form which these classes hold a `uint8[]` field in."""
 
+    def __hash__(self) -> int:
+        """Return a number by which what is made of these classes can be kept."""
+
 
 class LiveTypes:
     """The message classes of the ROS 2 that is installed, for use with rclpy."""

@@ -8,14 +8,14 @@ samples of waveform topics, such as truth and results, into arrays.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any
 
 import numpy as np
 
-from railtrack_ros.bags.bag import Bag, Paths, open_bag
+from railtrack_ros.bags.bag import Bag, NoTopic, Paths, open_bag
 from railtrack_ros.bags.codec import (
     ODOMETRY,
     POINT,
@@ -23,12 +23,14 @@ from railtrack_ros.bags.codec import (
     WAVEFORM,
     WaveformBlock,
     decode_position,
+    decode_sample,
     decode_speed,
-    decode_waveform,
 )
 from railtrack_ros.bags.mcap_file import RawMessage
+from railtrack_ros.bags.singles import sample_topics
 from railtrack_ros.bags.writer import ACCELERATION_TOPIC, SPEED_TOPIC
 from railtrack_ros.errors import InputError
+from railtrack_ros.estimation.samples import SAMPLE_BLOCK, SampleCollector
 
 __all__ = [
     'AccelerationBlock',
@@ -59,10 +61,15 @@ class SpeedSample:
 
 @dataclass(frozen=True)
 class AccelerationBlock:
-    """A block of axle-box acceleration [m/s^2], and the message that it came in."""
+    """A block of axle-box acceleration [m/s^2], and the message that it came in.
+
+    gathered: it is made of single samples, whose messages have been events of their own; this is
+    the one that completed it.
+    """
 
     block: WaveformBlock
     message: RawMessage
+    gathered: bool = False
 
 
 @dataclass(frozen=True)
@@ -102,7 +109,9 @@ class Run:
     bag
         The recording; its `notes` tell what could not be read.
     acceleration_topic, speed_topic
-        The topics that are read.
+        The topics that are read; of single samples, what their topics have in common.
+    samples
+        Axle boxes by topic, where the acceleration comes in single samples; else empty.
     position_topic
         The topic that sets the track position, or None.
     start_position
@@ -110,10 +119,13 @@ class Run:
     """
 
     def __init__(
-        self, bag: Bag, acceleration: str | None, speed: str | None, everything: bool
-    ) -> None:
+        self, bag: Bag, acceleration: str | None, speed: str | None, everything: bool,
+        names: Sequence[str] | None, sample_block: float,
+    ) -> None:  # fmt: skip
         self.bag = bag
-        self.acceleration_topic = acceleration_topic(bag, acceleration)
+        self.acceleration_topic, self.samples = acceleration_topics(bag, acceleration, names)
+        self._names = tuple(names or self.samples.values())
+        self._sample_block = sample_block
         self.speed_topic = speed_topic(bag, speed)
         setters = [
             topic.name
@@ -129,14 +141,18 @@ class Run:
 
     def events(self, since: int | None = None, until: int | None = None) -> Iterator[Event]:
         """Yield the events with since <= log time < until [ns], None: without that bound."""
-        inputs = {self.acceleration_topic, self.speed_topic, self.position_topic} - {None}
+        inputs = {self.acceleration_topic, self.speed_topic, self.position_topic, *self.samples}
         topics = None if self._everything else {topic for topic in inputs if topic}
+        collector = SampleCollector(self._names, self._sample_block) if self.samples else None
         for message in self.bag.messages(topics, since, until):
             if message.topic not in inputs:
                 yield OtherMessage(message)
                 continue
             try:
-                yield self._event(message)
+                if collector is not None and message.topic in self.samples:
+                    yield from self._sample(message, collector)
+                else:
+                    yield self._event(message)
             except InputError as error:
                 seconds = (message.log_time - self.bag.start_time) / 1e9
                 reason = str(error).removeprefix(f'{message.topic}: ')
@@ -144,12 +160,24 @@ class Run:
 
     def _event(self, message: RawMessage) -> Event:
         """Return what an input message says."""
-        content = self.bag.decode(message)
         if message.topic == self.acceleration_topic:
-            return AccelerationBlock(decode_waveform(content), message)
+            return AccelerationBlock(self.bag.waveform(message), message)
+        content = self.bag.decode(message)
         if message.topic == self.speed_topic:
             return SpeedSample(*decode_speed(content), message)
         return PositionSample(*decode_position(content), message)
+
+    def _sample(self, message: RawMessage, collector: SampleCollector) -> Iterator[Event]:
+        """Yield a single sample, and the blocks that it completes."""
+        dropped = collector.dropped
+        stamp_ns, value = decode_sample(self.bag.decode(message))
+        blocks = collector.add(self.samples[message.topic], stamp_ns, value)
+        if collector.dropped > dropped:
+            raise InputError('its stamp is not after that of the sample before it: left out')
+        yield OtherMessage(message)
+        for found in blocks:
+            block = WaveformBlock(found.stamp_ns, found.t, found.channels)
+            yield AccelerationBlock(block, message, gathered=True)
 
     def close(self) -> None:
         """Close the recording."""
@@ -173,6 +201,8 @@ def read_run(
     speed: str | None = None,
     *,
     everything: bool = False,
+    names: Sequence[str] | None = None,
+    sample_block: float = SAMPLE_BLOCK,
 ) -> Run:
     """Open a recording as the inputs of the estimator.
 
@@ -185,6 +215,10 @@ def read_run(
         the only topic of a fitting type.
     everything
         Also yield the messages of all other topics, as they are.
+    names
+        Axle boxes whose single samples are taken, the first of them gives the time; None: all.
+    sample_block
+        Single samples are gathered to blocks of about this length [s].
 
     Returns
     -------
@@ -198,15 +232,26 @@ def read_run(
     """
     bag = open_bag(path)
     try:
-        return Run(bag, acceleration, speed, everything)
+        return Run(bag, acceleration, speed, everything, names, sample_block)
     except BaseException:
         bag.close()
         raise
 
 
-def acceleration_topic(bag: Bag, wanted: str | None = None) -> str:
-    """Return the topic with the acceleration; InputError where it cannot be told."""
-    return bag.topic(wanted, ACCELERATION_TOPIC, (WAVEFORM,), 'acceleration')
+def acceleration_topics(
+    bag: Bag, wanted: str | None = None, names: Collection[str] | None = None
+) -> tuple[str, Mapping[str, str]]:
+    """Return the topic with the acceleration, or what the topics of single samples begin with.
+
+    With the latter come the axle boxes by topic. InputError where it cannot be told.
+    """
+    try:
+        return bag.topic(wanted, ACCELERATION_TOPIC, (WAVEFORM,), 'acceleration'), {}
+    except NoTopic:
+        found = sample_topics(bag, wanted, ACCELERATION_TOPIC, names)
+        if found is None:
+            raise
+        return found
 
 
 def speed_topic(bag: Bag, wanted: str | None = None) -> str:
@@ -290,7 +335,7 @@ def read_waveforms(
     blocks: dict[str, list[WaveformBlock]] = {topic: [] for topic in topics}
     for message in bag.messages(set(topics), *log_time):
         try:
-            block = decode_waveform(bag.decode(message))
+            block = bag.waveform(message)
         except InputError as error:
             reason = str(error).removeprefix(f'{message.topic}: ')
             raise InputError(f'{bag.path}: {message.topic}: {reason}') from error

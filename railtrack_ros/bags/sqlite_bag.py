@@ -7,7 +7,7 @@ import shutil
 import sqlite3
 import tempfile
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,12 +15,13 @@ from typing import Any
 from rosbags.interfaces import ConnectionExtRosbag2
 from rosbags.rosbag2 import Reader
 
-from railtrack_ros.bags.mcap_file import FACTS, RawMessage, Topic
+from railtrack_ros.bags.mcap_file import FACTS, RawMessage, Topic, Wanted
 from railtrack_ros.errors import InputError
 
 SQLITE_MAGIC = b'SQLite format 3\0'
 MARK = b'\xff\xfe\xfdcut\xfa\xf9'
 LARGEST = 1 << 40  # bytes that a header may tell and be believed
+LATEST = (1 << 63) - 1  # ns, of what SQLite can hold
 
 
 class RosbagsStorage:
@@ -60,22 +61,17 @@ class RosbagsStorage:
                 Topic(connection.topic, connection.msgtype, encoding, connection.msgcount)
             )
 
-    def messages(
-        self,
-        topics: Collection[str] | None = None,
-        since: int | None = None,
-        until: int | None = None,
-    ) -> Iterator[RawMessage]:
-        """Yield the messages of some topics (None: of all) in the order of their log time.
-
-        Only those with since <= log time < until [ns] come.
-        """
-        wanted = [x for x in self._reader.connections if topics is None or x.topic in topics]
-        if not wanted:
+    def messages(self, wanted: Wanted) -> Iterator[RawMessage]:
+        """Yield the messages that are wanted in the order of their log time."""
+        chosen = [x for x in self._reader.connections
+                  if wanted.topics is None or x.topic in wanted.topics]
+        if not chosen:
             return
+        since = max(wanted.since, 0)
+        until = min(wanted.until, LATEST)
         last: int | None = None
         try:
-            for connection, log_time, data in self._reader.messages(wanted, since, until):
+            for connection, log_time, data in self._reader.messages(chosen, since, until):
                 last = log_time
                 yield RawMessage(connection.topic, connection.msgtype, log_time, bytes(data))
         except GeneratorExit:
@@ -148,20 +144,12 @@ class SalvagedSqlite:
         self.notes = [f'{path}: not a finished recording (cut off): read up to '
                       f'{(self.end_time - self.start_time) / 1e9:.3f} s, what came after is lost']
 
-    def messages(
-        self,
-        topics: Collection[str] | None = None,
-        since: int | None = None,
-        until: int | None = None,
-    ) -> Iterator[RawMessage]:
-        """Yield the messages of some topics (None: of all) in the order of writing.
-
-        Only those with since <= log time < until [ns] come.
-        """
+    def messages(self, wanted: Wanted) -> Iterator[RawMessage]:
+        """Yield the messages that are wanted in the order of writing."""
         for _, number, time, data in self._rows():
             topic = self._topics.get(number)
-            if (topic is not None and (topics is None or topic.name in topics)
-                    and (since is None or time >= since) and (until is None or time < until)):
+            if (topic is not None and wanted.since <= time < wanted.until
+                    and (wanted.topics is None or topic.name in wanted.topics)):
                 yield RawMessage(topic.name, topic.type, time, bytes(data))
 
     def close(self) -> None:

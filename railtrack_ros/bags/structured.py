@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import math
+import zipfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -33,10 +34,8 @@ class Transposed:
         self.shape = values.shape[::-1]
 
     def __getitem__(self, index: Any) -> np.ndarray:
-        return np.asarray(self._values[()]).T[index]
-
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
-        return np.asarray(self[()], dtype)
+        first, second = (index if isinstance(index, tuple) else (index, slice(None)))
+        return np.asarray(self._values[second, first] if self.ndim == 2 else self._values[first]).T
 
 
 class TdmsArray:
@@ -49,8 +48,73 @@ class TdmsArray:
         self.dtype, self.size = np.dtype(channel.dtype), len(channel)
         self.shape = (self.size,)
 
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
-        return np.asarray(self._channel[:], dtype)
+    def __getitem__(self, part: slice) -> np.ndarray:
+        return np.asarray(self._channel[part])
+
+
+class NpzArray:
+    """An array of an NPZ file, whose rows are read one after the other."""
+
+    def __init__(self, archive: zipfile.ZipFile, name: str) -> None:
+        self._archive, self._name = archive, name
+        with archive.open(name) as file:
+            self.shape, self._fortran, self.dtype = _npy_header(file)
+        self.size = math.prod(self.shape)
+        if 1 in self.shape:
+            self.shape = (self.size,)
+        self.ndim = len(self.shape)
+        self._file: Any = None
+        self._at = 0
+        self._whole: np.ndarray | None = None
+
+    def __getitem__(self, index: Any) -> np.ndarray:
+        rows = index if isinstance(index, slice) else None
+        if rows is None or self._fortran and self.ndim > 1:
+            if self._whole is None:
+                with self._archive.open(self._name) as file:
+                    self._whole = np.lib.format.read_array(file, allow_pickle=False)
+            return self._whole[index]
+        start, stop, _ = rows.indices(self.shape[0])
+        if self._file is None or start != self._at:
+            self._file = self._archive.open(self._name)
+            _npy_header(self._file)
+            self._at = 0
+        width = self.size // self.shape[0]
+        self._file.seek(self._file.tell() + (start - self._at) * width * self.dtype.itemsize)
+        count = (stop - start) * width
+        data = self._file.read(count * self.dtype.itemsize)
+        self._at = stop
+        return np.frombuffer(data, self.dtype, count).reshape(-1, *self.shape[1:])
+
+
+def _npy_header(file: Any) -> tuple[tuple[int, ...], bool, np.dtype]:
+    """Read shape, order and type of an array, up to where its numbers begin."""
+    version = np.lib.format.read_magic(file)
+    read = (np.lib.format.read_array_header_1_0 if version == (1, 0)
+            else np.lib.format.read_array_header_2_0)
+    return read(file)
+
+
+@contextlib.contextmanager
+def npz_arrays(path: Path) -> Iterator[Mapping[str, Any]]:
+    """Give the arrays of an NPZ file by their names.
+
+    Raises
+    ------
+    InputError
+        The file is damaged or no NPZ, or holds something else than plain arrays.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = [name for name in archive.namelist() if name.endswith('.npy')]
+            arrays = {name.removesuffix('.npy'): NpzArray(archive, name) for name in names}
+            if any(array.dtype.hasobject for array in arrays.values()):
+                raise ValueError('objects in it are not unpickled')
+            yield arrays
+    except (InputError, OSError):
+        raise
+    except Exception as error:  # zipfile, zlib and the array headers each have their own
+        raise InputError(f'{path}: is not an NPZ file of plain arrays ({error})') from error
 
 
 def is_hdf5(path: Path) -> bool:

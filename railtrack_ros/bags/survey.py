@@ -5,16 +5,17 @@ from __future__ import annotations
 import array
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from railtrack_ros.bags.bag import Paths, open_bag
-from railtrack_ros.bags.codec import SECOND, WaveformBlock, decode_speed, decode_waveform
-from railtrack_ros.bags.reader import acceleration_topic, speed_topic, start_position
+from railtrack_ros.bags.codec import SECOND, WaveformBlock, decode_sample, decode_speed
+from railtrack_ros.bags.reader import acceleration_topics, speed_topic, start_position
 from railtrack_ros.errors import InputError
+from railtrack_ros.estimation.samples import SAMPLE_BLOCK, SampleCollector
 
 # A block that begins more than this many sample periods off its place is not the next one.
 CONTINUITY = 0.5
@@ -210,20 +211,28 @@ def survey(
         topics = {x.name: TopicSurvey(x.name, x.type) for x in bag.topics.values()}
         found = Survey(bag.path, list(topics.values()), bag.start_time, bag.end_time)
         found.start_position, found.facts = start_position(bag), bag.facts
+        singles: Mapping[str, str] = {}
         try:
-            found.acceleration = AccelerationSurvey(acceleration_topic(bag, acceleration))
+            topic, singles = acceleration_topics(bag, acceleration)
+            found.acceleration = AccelerationSurvey(topic)
         except InputError as error:
             found.obstacles.append(str(error))
         try:
             found.speed = SpeedSurvey(speed_topic(bag, speed))
         except InputError as error:
             found.obstacles.append(str(error))
+        samples = SampleCollector(tuple(singles.values()), SAMPLE_BLOCK)
         unusable: Counter[str] = Counter()
         for done, message in enumerate(bag.messages()):
             topics[message.topic].add(message.log_time)
             try:
                 if found.acceleration and message.topic == found.acceleration.topic:
-                    found.acceleration.add(decode_waveform(bag.decode(message)))
+                    found.acceleration.add(bag.waveform(message))
+                elif found.acceleration and message.topic in singles:
+                    sample = decode_sample(bag.decode(message))
+                    for block in samples.add(singles[message.topic], *sample):
+                        found.acceleration.add(
+                            WaveformBlock(block.stamp_ns, block.t, block.channels))
                 elif found.speed and message.topic == found.speed.topic:
                     found.speed.add(*decode_speed(bag.decode(message)))
             except InputError as error:

@@ -19,11 +19,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from railtrack_ros.bags.columns import PIECE, pieces
 from railtrack_ros.bags.structured import (
     HDF5,
     TDMS,
     hdf5_arrays,
     is_hdf5,
+    npz_arrays,
     tdms_arrays,
     tdms_defects,
     tdms_sample_rate,
@@ -41,8 +43,10 @@ LINES_PER_PROGRESS = 20_000
 
 def read_columns(
     path: str | Path, wanted: Collection[str], progress: Progress = lambda part: None
-) -> dict[str, Array]:
-    """Return columns of a file.
+) -> Iterator[dict[str, Array]]:
+    """Yield columns of a file, piece by piece; memory does not depend on its length.
+
+    Only a MAT file of a version below 7.3, and an NPZ array in Fortran order, are read as a whole.
 
     Parameters
     ----------
@@ -56,8 +60,8 @@ def read_columns(
     progress
         Called with the part of the file that is read, 0 to 1.
 
-    Returns
-    -------
+    Yields
+    ------
     dict
         (n,) float64 each, all of the same length; NaN for a field without a value.
 
@@ -70,31 +74,35 @@ def read_columns(
     if not path.is_file():
         raise InputError(f'{path}: no such file')
     suffix = path.suffix.lower()
+    rows = 0
     try:
-        if suffix in TEXT:
-            columns = _read_text(path, wanted, progress)
-        elif suffix == '.npz':
-            columns = _choose(path, _npz_arrays(path), wanted)
-        elif suffix in HDF5 or (suffix == '.mat' and is_hdf5(path)):
-            with hdf5_arrays(path, suffix == '.mat') as arrays:
-                columns = _choose(path, arrays, wanted)
-        elif suffix == '.mat':
-            columns = _choose(path, _mat_arrays(path), wanted)
-        elif suffix in TDMS:
-            with tdms_arrays(path) as arrays:
-                columns = _choose(path, arrays, wanted)
-        else:
-            known = ', '.join([*TEXT, '.npz', '.mat', *HDF5, *TDMS])
-            raise InputError(f'{path}: unknown kind of file {suffix!r}; expected {known}')
+        for piece in _pieces(path, suffix, wanted, progress):
+            rows += next(iter(piece.values())).size
+            yield piece
     except OSError as error:
         raise InputError(f'{path}: cannot be read ({error.strerror or error})') from error
-    lengths = {name: column.size for name, column in columns.items()}
-    if len(set(lengths.values())) > 1:
-        said = ', '.join(f'{name} has {size}' for name, size in lengths.items())
-        raise InputError(f'{path}: columns of different length: {said}')
-    if not all(lengths.values()):
+    if not rows:
         raise InputError(f'{path}: holds no rows')
-    return columns
+
+
+def _pieces(path: Path, suffix: str, wanted: Collection[str], progress: Progress
+            ) -> Iterator[dict[str, Array]]:
+    if suffix in TEXT:
+        yield from _read_text(path, wanted, progress)
+    elif suffix == '.npz':
+        with npz_arrays(path) as arrays:
+            yield from _choose(path, arrays, wanted, progress)
+    elif suffix in HDF5 or (suffix == '.mat' and is_hdf5(path)):
+        with hdf5_arrays(path, suffix == '.mat') as arrays:
+            yield from _choose(path, arrays, wanted, progress)
+    elif suffix == '.mat':
+        yield from _choose(path, _mat_arrays(path, wanted), wanted, progress)
+    elif suffix in TDMS:
+        with tdms_arrays(path) as arrays:
+            yield from _choose(path, arrays, wanted, progress)
+    else:
+        known = ', '.join([*TEXT, '.npz', '.mat', *HDF5, *TDMS])
+        raise InputError(f'{path}: unknown kind of file {suffix!r}; expected {known}')
 
 
 def _no_column(path: Path, name: str, names: Iterable[str]) -> InputError:
@@ -123,8 +131,10 @@ def defects(path: str | Path) -> list[str]:
     return tdms_defects(path) if path.suffix.lower() in TDMS else []
 
 
-def _choose(path: Path, arrays: Mapping[str, Any], wanted: Collection[str]) -> dict[str, Array]:
-    """Return columns of named arrays of one or two dimensions."""
+def _choose(
+    path: Path, arrays: Mapping[str, Any], wanted: Collection[str], progress: Progress
+) -> Iterator[dict[str, Array]]:
+    """Yield columns of named arrays of one or two dimensions, piece by piece."""
     names: dict[str, tuple[str, int | None]] = {}
     for name, values in arrays.items():
         if values.dtype.kind not in 'fiub' or values.ndim > 2 or values.size == 0:
@@ -138,35 +148,42 @@ def _choose(path: Path, arrays: Mapping[str, Any], wanted: Collection[str]) -> d
         last: place for last, place in zip(lasts, list(names.values()), strict=True)
         if lasts.count(last) == 1
     })  # fmt: skip
-    columns: dict[str, Array] = {}
     for name in wanted:
         if name not in names:
             raise _no_column(path, name, names)
-        key, index = names[name]
-        values = arrays[key] if index is None else arrays[key][:, index]
-        columns[name] = np.array(values, np.float64).ravel()
-    return columns
+    places = {name: names[name] for name in wanted}
+    lengths = {name: arrays[key].size if index is None else arrays[key].shape[0]
+               for name, (key, index) in places.items()}
+    if len(set(lengths.values())) > 1:
+        said = ', '.join(f'{name} has {size}' for name, size in lengths.items())
+        raise InputError(f'{path}: columns of different length: {said}')
+    size = max(lengths.values())
+    # The columns of an array are read together.
+    keys = dict.fromkeys(key for key, _ in places.values())
+    for part in pieces(size):
+        read = {key: _rows(arrays[key], part) for key in keys}
+        yield {
+            name: np.array(read[key] if index is None else read[key][:, index], np.float64).ravel()
+            for name, (key, index) in places.items()
+        }
+        progress(part.stop / size)
 
 
-def _npz_arrays(path: Path) -> dict[str, np.ndarray]:
-    """Return the arrays of an NPZ file."""
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            if not hasattr(archive, 'files'):
-                raise ValueError('a single array without a name')
-            return {name: archive[name] for name in archive.files}
-    except OSError:
-        raise
-    except Exception as error:  # zipfile, zlib and the array headers each have their own
-        raise InputError(f'{path}: is not an NPZ file of plain arrays ({error})') from error
+def _rows(array: Any, part: slice) -> np.ndarray:
+    """Return rows of an array; one of a single row or column counts as a row of numbers."""
+    if array.ndim == 1 or min(array.shape) > 1 or array.shape[1] == 1:
+        return np.asarray(array[part])
+    return np.asarray(array[:, part])
 
 
-def _mat_arrays(path: Path) -> dict[str, np.ndarray]:
-    """Return the variables of a MAT file."""
+def _mat_arrays(path: Path, wanted: Collection[str]) -> dict[str, np.ndarray]:
+    """Return the variables of a MAT file: the wanted ones alone if they are there, else all."""
     import scipy.io
 
+    names = {re.sub(r'\[\d+]$', '', name) for name in wanted}
     try:
-        content = scipy.io.loadmat(path)
+        there = {name for name, *_ in scipy.io.whosmat(path)}
+        content = scipy.io.loadmat(path, variable_names=names if names <= there else None)
     except OSError:
         raise
     except Exception as error:  # damaged files end in errors of many kinds
@@ -212,8 +229,10 @@ class Layout:
         return float(text.replace(',', '.') if self.comma else text)
 
 
-def _read_text(path: Path, wanted: Collection[str], progress: Progress) -> dict[str, Array]:
-    """Return columns of a text file."""
+def _read_text(
+    path: Path, wanted: Collection[str], progress: Progress
+) -> Iterator[dict[str, Array]]:
+    """Yield columns of a text file, piece by piece."""
     layout = _layout(path)
     for name in wanted:
         if name not in layout.names:
@@ -221,25 +240,30 @@ def _read_text(path: Path, wanted: Collection[str], progress: Progress) -> dict[
         if layout.names.count(name) > 1:
             raise InputError(f'{path}: {layout.names.count(name)} columns are called {name!r}')
     indices = [layout.names.index(name) for name in wanted]
+    lines, number = _lines(path, layout, progress), layout.first
+    while some := list(itertools.islice(lines, PIECE)):
+        if any(line.strip() and not line.startswith('#') for line in some):
+            table = _table(path, layout, indices, some, number)
+            yield {name: np.ascontiguousarray(table[:, k]) for k, name in enumerate(wanted)}
+        number += len(some)
+
+
+def _table(path: Path, layout: Layout, indices: list[int], lines: list[str], before: int) -> Array:
+    """Return columns (n, columns) of lines that come after so many others."""
     try:
-        table = np.loadtxt(
-            _lines(path, layout, progress),
-            delimiter=layout.delimiter,
-            usecols=indices,
-            ndmin=2,
-            comments='#',
-            quotechar='"',
-        )
+        return np.loadtxt(lines, delimiter=layout.delimiter, usecols=indices, ndmin=2,
+                          comments='#', quotechar='"')
     except ValueError:
         # Some field is not a plain number: find out which, or that it is an empty one.
-        table = _read_carefully(path, layout, indices, progress)
-    return {name: np.ascontiguousarray(table[:, k]) for k, name in enumerate(wanted)}
+        return _read_carefully(path, layout, indices, lines, before)
 
 
-def _read_carefully(path: Path, layout: Layout, indices: list[int], progress: Progress) -> Array:
-    """Return columns (n, columns) of a text file that has empty fields, or say what is wrong."""
+def _read_carefully(
+    path: Path, layout: Layout, indices: list[int], lines: list[str], before: int
+) -> Array:
+    """Return columns (n, columns) of lines that have empty fields, or say what is wrong."""
     values = array.array('d')
-    for number, line in enumerate(_lines(path, layout, progress), layout.first + 1):
+    for number, line in enumerate(lines, before + 1):
         if not line.strip() or line.startswith('#'):
             continue
         fields = layout.fields(line)

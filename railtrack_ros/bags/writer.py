@@ -16,13 +16,13 @@ from types import TracebackType
 from typing import Any, BinaryIO
 
 import yaml
-from mcap.writer import Writer
 
 from railtrack_ros import __version__
-from railtrack_ros.bags.codec import SECOND, WaveformBlock, encode_speed, encode_waveform
-from railtrack_ros.bags.joining import join_files
+from railtrack_ros.bags.codec import SECOND, WAVEFORM, WaveformBlock, encode_speed
 from railtrack_ros.bags.mcap_file import FACTS, FACTS_CHECKSUM, facts_checksum
+from railtrack_ros.bags.mcap_writer import Writer, join_files
 from railtrack_ros.bags.message_types import OFFLINE
+from railtrack_ros.bags.waveform_cdr import waveform_bytes
 from railtrack_ros.errors import InputError
 from railtrack_ros.output import refuse_inputs, replacing
 
@@ -133,7 +133,7 @@ class Recording:
     def write_waveform(self, topic: str, block: WaveformBlock, log_time: int | None = None) -> None:
         """Write a waveform, logged at its last sample if nothing else is said."""
         time = block.end_ns if log_time is None else log_time
-        self.write(topic, encode_waveform(block, OFFLINE), time)
+        self.write_raw(topic, WAVEFORM, time, waveform_bytes(block))
 
     def write_speed(
         self, stamp_ns: int, speed: float, topic: str = SPEED_TOPIC, frame_id: str = FRAME

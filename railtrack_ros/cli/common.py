@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 MOST_FREQUENCIES = 1_000_000
 
 # Arguments of all commands that name what is written; whatever else names a file is an input.
-OUTPUTS = ('output', 'plot', 'report', 'page', 'rails', 'grind_list', 'spectra', 'wheels')
+OUTPUTS = ('output', 'plot', 'report', 'page', 'rails', 'grind_list', 'spectra', 'wheels',
+           'waveforms')
 
 
 def number(allowed: Range = ANY) -> Callable[[str], float]:
@@ -82,6 +83,17 @@ def add_bags(parser: argparse.ArgumentParser) -> None:
         nargs='+',
         help='a rosbag2 folder, or an .mcap or .db3 file; several are read as one run',
     )
+
+
+def add_sample_block(parser: argparse.ArgumentParser) -> None:
+    """Add how single samples are gathered."""
+    from railtrack_ros.estimation.samples import SAMPLE_BLOCK
+
+    parser.add_argument(
+        '--sample-block', type=number(Range(minimum=0.002, maximum=1.0)), default=SAMPLE_BLOCK,
+        metavar='S',
+        help='single samples (Imu, AccelStamped) are gathered to blocks of this length '
+        f'(default {SAMPLE_BLOCK:g} s, as the node does)')
 
 
 def add_output(parser: argparse.ArgumentParser, metavar: str, help: str) -> None:

@@ -34,11 +34,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--acceleration-topic',
         metavar='TOPIC',
-        help='waveform of the axle boxes (default: axle_box_acceleration, or the only one)',
+        help='waveform of the axle boxes, or what the topics of their single samples begin with '
+        '(default: axle_box_acceleration, or the only one)',
     )
     parser.add_argument(
         '--speed-topic', metavar='TOPIC', help='speed (default: speed, or the only one)'
     )
+    common.add_sample_block(parser)
     parser.add_argument(
         '--report', metavar='FILE.html', help='also a page on what stands out along the track')
     parser.add_argument(
@@ -71,12 +73,15 @@ def run(args: argparse.Namespace) -> Outcome:
                           EstimatorSettings),
             settings_from(args, IndicatorSettings),
             args.start_position, args.acceleration_topic, args.speed_topic, show, args.jobs,
+            args.sample_block,
         )  # fmt: skip
     if args.report:
         from railtrack_ros.runs.estimate_report import write_estimate_report
 
-        write_estimate_report(args.report, Path(args.bag[0]).name, found, track, vehicle,
-                              settings_from(args, IndicatorSettings))
+        with common.progress(None, 's', 'report') as bar:
+            write_estimate_report(args.report, Path(args.bag[0]).name, found, track, vehicle,
+                                  settings_from(args, IndicatorSettings), args.output, show,
+                                  args.jobs)
     elapsed = time.perf_counter() - begin
     summary = {'output': args.output, **found.summary(), 'elapsed_s': elapsed}
     speed = f'{found.duration / elapsed:.1f} times real time'

@@ -48,6 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         'only one)')
     parser.add_argument('--speed-topic', metavar='TOPIC',
                         help='speed (default: speed, or the only one)')
+    common.add_sample_block(parser)
     parser.add_argument('--section', type=common.number(SECTIONS), default=10.0, metavar='M',
                         help='length of the sections that errors are summed up over (default 10)')
     parser.add_argument('--model-track', metavar='T',
@@ -89,6 +90,7 @@ def run(args: argparse.Namespace) -> Outcome:
             start_position=args.start_position, settings=settings, model_track=model_track,
             mesh=mesh, longest_step=1e-6 * args.time_step,
             acceleration_topic=args.acceleration_topic, speed_topic=args.speed_topic,
-            progress=lambda seconds: bar.update(seconds - bar.n), section_length=args.section)
+            progress=lambda seconds: bar.update(seconds - bar.n), section_length=args.section,
+            sample_block=args.sample_block)
     return Outcome(result.summary, [*result.report.findings, f'report: {args.output}/report.html'],
                    result.defects, result.remarks)

@@ -46,7 +46,7 @@ def draw_overview(path: str | Path, report: Report, dots_per_inch: int = 150) ->
 def _strip(axes: Axes, data: Indicators) -> None:
     """Draw the band that exceeds its limit most, both rails along the track."""
     found = sections.exceedances(data)
-    bands = [b for b in style.BAND_NAMES if any(b in row for row in data.rows)]
+    bands = style.bands(data.rows)
     band = found[0].band if found else bands[0]
     top = 0.0
     for rail in sections.rails(data):
@@ -65,7 +65,7 @@ def _strip(axes: Axes, data: Indicators) -> None:
     axes.margins(x=0)
     axes.set_ylabel('RMS [µm]')
     axes.set_xlabel('position on the track [m]')
-    _title(axes, f'Irregularity of {style.BAND_NAMES[band]} wavelength along the track')
+    _title(axes, f'Irregularity of {style.band_title(band)} wavelength along the track')
     _legend(axes)
 
 

@@ -10,6 +10,7 @@ import plotly.graph_objects as go
 from plotly.offline import get_plotlyjs
 
 from railtrack_ros import __version__
+from railtrack_ros.errors import InputError
 from railtrack_ros.output import replacing
 from railtrack_ros.report import plots, sections, style
 from railtrack_ros.report.content import Report, Table, Tile
@@ -19,8 +20,11 @@ TABLE_ROWS = 25
 
 def write_report(path: str | Path, report: Report) -> Path:
     """Write ``report`` as a self-contained HTML file; a half-written one never stands there."""
-    with replacing(path) as place:
-        place.write_text(render(report), encoding='utf-8')
+    try:
+        with replacing(path) as place:
+            place.write_text(render(report), encoding='utf-8')
+    except OSError as error:
+        raise InputError(f'{path}: cannot be written ({error.strerror or error})') from error
     return Path(path)
 
 
@@ -62,8 +66,9 @@ def _cards(report: Report, page: _Page) -> Iterable[str]:
     if report.indicators is not None and report.indicators.rows:
         found = sections.exceedances(report.indicators)
         parts = [
-            _note('Root mean square of the combined irregularity in each section; thick line: '
-                  'mean over the axle boxes of a rail, band: their range. Shaded: above the limit.'
+            _note('Root mean square of the combined irregularity in each section, through the '
+                  'causal filters of the live node; thick line: mean over the axle boxes of a '
+                  'rail, band: their range. Shaded: above the limit.'
                   + (' Dotted frame: the stretch replayed through the full model.'
                      if report.highlight else '')),
             page.figure(plots.strip_chart(report.indicators, report.highlight),
@@ -75,7 +80,7 @@ def _cards(report: Report, page: _Page) -> Iterable[str]:
                 page.figure(plots.heat_map(report.indicators), 'level of each axle box'),
                 _table(_stretches(found, report.indicators.limit_source)),
             ]
-        yield _card('Corrugation along the track', *parts)
+        yield _card('Corrugation by axle box, as told live', *parts)
     if report.irregularity is not None or report.spectra:
         parts = []
         if report.irregularity is not None:
@@ -113,7 +118,7 @@ def _cards(report: Report, page: _Page) -> Iterable[str]:
 def _stretches(found: Sequence[sections.Exceedance], source: str) -> Table:
     rows = [[
         e.rail, f'{e.start:.0f} - {e.end:.0f}', f'{e.end - e.start:.0f}',
-        style.BAND_NAMES.get(e.band, e.band), f'{e.worst:.1f}', f'{e.limit:g}',
+        style.band_title(e.band), f'{e.worst:.1f}', f'{e.limit:g}',
         f'{e.worst / e.limit:.1f}',
         '' if e.wavelength is None else f'{e.wavelength * 1e3:.0f}',
     ] for e in found[:TABLE_ROWS]]

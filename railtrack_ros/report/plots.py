@@ -192,7 +192,7 @@ def latency(data: Latency) -> go.Figure:
 
 def strip_chart(data: Indicators, highlight: tuple[float, float] | None = None) -> go.Figure:
     """Draw the RMS of each band along the track per rail, sections above a limit shaded."""
-    bands = [b for b in style.BAND_NAMES if any(b in row for row in data.rows)]
+    bands = style.bands(data.rows)
     figure = make_subplots(rows=len(bands), cols=1, shared_xaxes=True, vertical_spacing=0.045)
     _layout(figure, 150 * len(bands) + 90)
     for i, band in enumerate(bands, start=1):
@@ -210,7 +210,7 @@ def strip_chart(data: Indicators, highlight: tuple[float, float] | None = None) 
                 figure.add_vrect(x0=e.start, x1=e.end, fillcolor=style.LIMIT, line_width=0, row=i,
                                  col=1, layer='below',
                                  opacity=min(0.02 * (e.worst / e.limit)**2, 0.14))
-        text = style.BAND_NAMES[band]
+        text = style.band_title(band)
         text = f'<b>{text}</b>' if resolved else f'{text}: not resolved at this speed and rate'
         figure.add_annotation(x=0.006, y=0.96, xref='x domain', yref='y domain', text=text,
                               showarrow=False, xanchor='left', yanchor='top', row=i, col=1,
@@ -260,7 +260,7 @@ def heat_map(data: Indicators) -> go.Figure:
         'type': 'buttons', 'direction': 'right', 'x': 0, 'xanchor': 'left', 'y': 1.02,
         'yanchor': 'bottom', 'active': names.index(worst) if worst else 0, 'pad': {'t': 0},
         'font': {'size': 12}, 'bordercolor': style.GRID, 'bgcolor': '#ffffff',
-        'buttons': [{'label': style.BAND_NAMES.get(band, band), 'method': 'restyle',
+        'buttons': [{'label': style.band_title(band), 'method': 'restyle',
                      'args': ['visible', [other == band for other in names]]} for band in names],
     }], margin={'t': 45, 'l': 105})
     figure.update_yaxes(autorange='reversed', showgrid=False, ticks='')

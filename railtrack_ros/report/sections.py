@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from railtrack_ros.report import style
 from railtrack_ros.report.content import Array, Indicators
 
 
@@ -93,7 +94,7 @@ def _neighbours(above: np.ndarray, sections: RailBand) -> list[np.ndarray]:
 def _dominant(rows: Sequence[Mapping[str, object]], rail: str, band: str, start: float
               ) -> float | None:
     """Return the dominant wavelength [m] of a section, None where it is not one of the band."""
-    shortest, longest = (1e-3 * float(part) for part in band.split('_')[1:3])
+    shortest, longest = (1e-3 * end for end in style.band_limits(band))
     values = [number(r.get('dominant_wavelength_m')) for r in rows
               if r['rail'] == rail and number(r['from_m']) == start]
     finite = [v for v in values if shortest <= v <= longest]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 INK = '#1d2733'
@@ -10,6 +12,8 @@ GRID = '#e6eaee'
 LIMIT = '#c8322b'
 RAIL_COLOURS = {'left': '#00778f', 'right': '#8a3f9e'}
 PAIR_COLOURS = ('#1456a0', '#e0800a', '#5a9c3a')
+
+RMS = re.compile(r'rms_([0-9p]+)_([0-9p]+)_um')
 
 FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "Liberation Sans", Arial, sans-serif'
 
@@ -34,12 +38,22 @@ LINES = {
     'limit': Line('ISO 3095 limit', LIMIT, 1.6, 'dash'),
 }
 
-BAND_NAMES = {
-    'rms_10_30_um': '10-30 mm',
-    'rms_30_100_um': '30-100 mm',
-    'rms_100_300_um': '100-300 mm',
-    'rms_300_1000_um': '300-1000 mm',
-}
+def bands(rows: Sequence[Mapping[str, object]]) -> list[str]:
+    """Return the columns of band RMS that occur in rows of indicators, in their order."""
+    return list(dict.fromkeys(name for row in rows for name in row if RMS.fullmatch(name)))
+
+
+def band_limits(column: str) -> tuple[float, float]:
+    """Return shortest and longest wavelength [mm] of a column such as ``rms_30_100_um``."""
+    found = RMS.fullmatch(column)
+    assert found is not None
+    shortest, longest = (float(text.replace('p', '.')) for text in found.groups())
+    return shortest, longest
+
+
+def band_title(column: str) -> str:
+    """``rms_30_100_um`` -> ``30-100 mm``."""
+    return '{:g}-{:g} mm'.format(*band_limits(column))
 
 
 def box_title(name: str) -> str:

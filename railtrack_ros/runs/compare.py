@@ -18,6 +18,7 @@ from scipy import signal
 
 from railtrack_ros.bags.bag import Paths, open_bag, paths_of
 from railtrack_ros.errors import InputError
+from railtrack_ros.estimation.section import SAMPLES_A_WAVE
 from railtrack_ros.runs import comparison
 from railtrack_ros.runs.comparison import Band, Error
 from railtrack_ros.runs.result_stream import ResultStream, Source, find_source
@@ -29,7 +30,6 @@ FIRST, SECOND = 'first', 'second'
 STEP = 1e-3                 # m, grid along the track
 LONGEST = 10.0**0.15        # m, upper edge of the 1.25 m one-third octave
 SHORTEST = 10.0**-2.05      # m, lower edge of the 10 mm one-third octave
-SAMPLES_A_WAVE = 2.5
 WINDOW = 50.0               # m
 SEARCH = 5.0                # m, how far apart odometers usually are
 ALIGNED_BELOW = 0.3         # m, wavelengths that shifts are found by

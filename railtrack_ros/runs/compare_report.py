@@ -34,7 +34,8 @@ from railtrack_ros.runs.compare import (
 )
 from railtrack_ros.runs.comparison import Error
 from railtrack_ros.runs.replay_files import complete_folder, write_errors
-from railtrack_ros.runs.replay_report import MOST_ROWS, PLOTS, overall
+from railtrack_ros.runs.replay_plots import PLOTS
+from railtrack_ros.runs.replay_report import MOST_ROWS, overall
 
 SHOWN = 8.0      # m of waveform on the page
 EVERY = 2        # samples of the grid of which one is drawn

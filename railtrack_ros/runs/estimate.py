@@ -11,6 +11,7 @@ from railtrack_ros.bags.bag import Paths, paths_of
 from railtrack_ros.bags.reader import read_run
 from railtrack_ros.bags.writer import Recording
 from railtrack_ros.errors import InputError
+from railtrack_ros.estimation.samples import SAMPLE_BLOCK
 from railtrack_ros.estimation.settings import EstimatorSettings, IndicatorSettings
 from railtrack_ros.runs.estimate_pipeline import NODE, Case, Pipeline, conclude
 from railtrack_ros.runs.estimated import Estimated
@@ -32,6 +33,7 @@ def estimate(
     speed_topic: str | None = None,
     progress: Callable[[float, float], None] = lambda done, total: None,
     jobs: int = 1,
+    sample_block: float = SAMPLE_BLOCK,
 ) -> Estimated:
     """Run the estimator over a recording and write inputs and results to another.
 
@@ -52,7 +54,10 @@ def estimate(
         Called with the seconds that are done, and all of them.
     jobs
         Processes that share the work, 0: one for each core. Each takes a part of the run with a
-        warm-up before it (:mod:`railtrack_ros.runs.estimate_jobs` tells how equal the results are).
+        warm-up before it (:mod:`railtrack_ros.runs.estimate_jobs` tells how equal the results
+        are); single samples, which are few, are left to one.
+    sample_block
+        Single samples are gathered to blocks of about this length [s].
 
     Raises
     ------
@@ -64,7 +69,9 @@ def estimate(
     jobs = jobs or os.cpu_count() or 1
     if jobs < 0:
         raise InputError(f'jobs: expected at least 0, got {jobs}')
-    with read_run(paths, acceleration_topic, speed_topic, everything=True) as run:
+    names = [box.name for box in vehicle.axle_boxes]
+    with read_run(paths, acceleration_topic, speed_topic, everything=True, names=names,
+                  sample_block=sample_block) as run:
         settings = settings or EstimatorSettings()
         if start_position is None:
             start_position = run.start_position
@@ -73,7 +80,7 @@ def estimate(
         case = Case(track, vehicle, settings, indicators or IndicatorSettings())
         start = run.bag.start_time
         seconds = (run.bag.end_time - start) / 1e9
-        if jobs > 1:
+        if jobs > 1 and not run.samples:
             from railtrack_ros.runs.estimate_jobs import estimate_in_parts
 
             return estimate_in_parts(

@@ -12,19 +12,22 @@ sections within 0.2 dB (their grid of 1 mm begins where a process begins).
 from __future__ import annotations
 
 import multiprocessing
+import os
 import pickle
 import queue
+import re
 import signal
 import tempfile
 import traceback
 from collections import deque
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from railtrack_ros.bags.codec import SECOND, WaveformBlock
 from railtrack_ros.bags.message_types import OFFLINE
@@ -37,17 +40,20 @@ from railtrack_ros.bags.reader import (
 )
 from railtrack_ros.bags.writer import Recording, join_recordings
 from railtrack_ros.errors import InputError
-from railtrack_ros.estimation.estimator import Estimator
+from railtrack_ros.estimation.bands import grid_step
+from railtrack_ros.estimation.estimator import Array, Estimator
+from railtrack_ros.estimation.indicators import Way
 from railtrack_ros.runs.estimate_pipeline import (
     NODE,
     Case,
     Part,
     PartFound,
     Pipeline,
+    Start,
     conclude,
 )
 from railtrack_ros.runs.estimated import Estimated
-from railtrack_ros.runs.results import FinishedSections, forces_are_due, section_messages
+from railtrack_ros.runs.results import forces_are_due, section_messages
 
 # The warm-up of a part: seconds for the track's vibrations; cut-on wavelengths for the high-pass,
 # whose slowest part decays to 9 % in each; and a margin for how sections are worked off.
@@ -56,8 +62,6 @@ WARM_UP_WAVELENGTHS = 12.0
 WARM_UP_MARGIN = 10.0
 # Between two places at which a warm-up may begin [s].
 SNAPSHOTS = 1.0
-# Sections that a warm-up finishes this shortly before its part may be new [s].
-TWICE = 1.5
 # Between two reports of progress and looks at the other process [s].
 HEARTBEAT = 0.2
 
@@ -74,12 +78,11 @@ def warm_up(case: Case) -> tuple[float, float]:
 
 @dataclass
 class _Snapshot:
-    """Clock and way at a log time [ns], and the distance run so far [m]."""
+    """A place in the run where a part may start: log time [ns], distance so far [m], `Start`."""
 
     time_ns: int
     distance: float
-    state: bytes
-    forces_told_ns: int
+    start: bytes
 
 
 class _Way(Estimator):
@@ -89,9 +92,13 @@ class _Way(Estimator):
         super().__init__(case.track, case.vehicle, case.settings)
         self._rails = []
 
-    def place(self) -> bytes:
-        """Return the clock and the odometer as they are now."""
-        return pickle.dumps((self._clock, self._odometer))
+    def _channels(self, samples: int, channels: Mapping[str, ArrayLike]) -> dict[str, Array]:
+        """Look at no sample."""
+        return {}
+
+    def start(self, sections: Way, forces_told_ns: int) -> bytes:
+        """Return where the run is now."""
+        return pickle.dumps(Start(self._clock, self._odometer, sections, forces_told_ns))
 
 
 class Scout:
@@ -100,6 +107,8 @@ class Scout:
     def __init__(self, run: Run, case: Case) -> None:
         self._run, self._case = run, case
         self._way = _Way(case)
+        self._sections = Way(
+            len(case.vehicle.axle_boxes), grid_step(case.indicators.wavelengths))
         self._told_ns = NOTHING_TOLD_NS
         self._distance = 0.0
 
@@ -119,11 +128,8 @@ class Scout:
                     targets.popleft()
                     begun = self._begun(snapshots, time_ns)
                     if begun is not None:
-                        yield Part(first.since, first.begin, time_ns, first.clock,
-                                   first.odometer, first.forces_told_ns)
-                        clock, odometer = pickle.loads(begun.state)
-                        first = Part(begun.time_ns, time_ns, None, clock, odometer,
-                                     begun.forces_told_ns)
+                        yield replace(first, until=time_ns)
+                        first = Part(begun.time_ns, time_ns, None, pickle.loads(begun.start))
                     if not targets:
                         break
                 if not snapshots or time_ns - snapshots[-1].time_ns >= SNAPSHOTS * SECOND:
@@ -142,11 +148,13 @@ class Scout:
         if found is None:
             return
         self._distance += float(np.nansum(np.abs(found.speed))) * (self._way.time_step or 0.0)
+        self._sections.feed(found.t, found.position, found.stamp_ns)
         if forces_are_due(self._told_ns, block.end_ns):
             self._told_ns = block.end_ns
 
     def _remember(self, snapshots: deque[_Snapshot], time_ns: int) -> None:
-        snapshots.append(_Snapshot(time_ns, self._distance, self._way.place(), self._told_ns))
+        start = self._way.start(self._sections, self._told_ns)
+        snapshots.append(_Snapshot(time_ns, self._distance, start))
         while len(snapshots) > 1 and self._is_enough(snapshots[1], time_ns):
             snapshots.popleft()
 
@@ -185,7 +193,12 @@ def estimate_in_parts(
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=f'.{target.name}.', dir=target.parent) as folder:
-            return _estimate(run, paths, case, output, jobs, Path(folder), progress)
+            try:
+                return _estimate(run, paths, case, output, jobs, Path(folder), progress)
+            except InputError as error:  # of a part: to the user it is one output
+                part = re.escape(f'{folder}{os.sep}') + r'\w+\.mcap'
+                told = re.sub(part, lambda _: str(output), str(error))
+                raise InputError(told) from error
     except OSError as error:
         raise InputError(f'{output}: cannot be written ({error.strerror or error})') from error
 
@@ -210,7 +223,7 @@ def _estimate(
     finally:
         pool.end()
     whole = results[0]
-    sections = _sections(results, [task.part for task in pool.tasks])
+    sections = [finished for result in results for finished in result.sections]
     for later in results[1:]:
         whole.join(later)
     whole.found.sections = [s for _, finished in sections for s in finished.sections]
@@ -222,29 +235,6 @@ def _estimate(
         found = conclude(whole, run, recording, case.vehicle)
     parts = [head, *(task.output for task in pool.tasks), tail]
     join_recordings(parts, topics, output, case.facts(run), paths)
-    return found
-
-
-def _sections(results: list[PartFound], parts: list[Part]) -> list[tuple[int, FinishedSections]]:
-    """Return the sections of all parts, each once.
-
-    Which block finishes a section may differ by a few blocks between the end of one part and the
-    warm-up of the next.
-    """
-    found: list[tuple[int, FinishedSections]] = []
-    for result, part in zip(results, parts, strict=True):
-        begin = part.begin
-        recent = {} if begin is None else {
-            (section.axle_box, section.start): log_time
-            for log_time, finished in found for section in finished.sections
-            if log_time > begin - 2 * TWICE * SECOND}
-        for log_time, finished in result.sections:
-            if begin is not None and log_time < begin - TWICE * SECOND:
-                continue
-            new = [s for s in finished.sections if (s.axle_box, s.start) not in recent
-                   or begin is None or log_time > begin + TWICE * SECOND]
-            found.append((log_time, FinishedSections(
-                new, finished.stamp_ns, finished.frame_id, finished.vehicle)))
     return found
 
 

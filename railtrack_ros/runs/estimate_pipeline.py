@@ -18,6 +18,7 @@ from railtrack_ros.bags.reader import (
 from railtrack_ros.bags.writer import FRAME, Recording
 from railtrack_ros.errors import InputError
 from railtrack_ros.estimation.estimator import Estimator, Health
+from railtrack_ros.estimation.indicators import Way
 from railtrack_ros.estimation.odometer import Odometer
 from railtrack_ros.estimation.settings import EstimatorSettings, IndicatorSettings
 from railtrack_ros.estimation.timeline import SampleClock
@@ -29,6 +30,7 @@ from railtrack_ros.runs.results import (
     FinishedSections,
     ResultMessages,
     section_messages,
+    waveforms,
 )
 from railtrack_ros.track.description import Track
 from railtrack_ros.vehicle.description import Vehicle
@@ -69,21 +71,28 @@ class Case:
         recording.write(f'{NODE}/{CONFIGURATION}', message, run.bag.start_time)
 
 
+@dataclass
+class Start:
+    """Where a run is at some time: clock, way, way of the sections, when forces were told last."""
+
+    clock: SampleClock
+    odometer: Odometer
+    sections: Way
+    forces_told_ns: int
+
+
 @dataclass(frozen=True)
 class Part:
     """A part of a run by log times [ns]; None: from its beginning, to its end.
 
     Messages from `since` on are read, and what belongs to those from `begin` on is given; what
-    lies between is the warm-up. With it come the clock, the way and the time when forces
-    were told last, as they were at `since`.
+    lies between is the warm-up.
     """
 
     since: int | None = None
     begin: int | None = None
     until: int | None = None
-    clock: SampleClock | None = None
-    odometer: Odometer | None = None
-    forces_told_ns: int = 0
+    start: Start | None = None
 
 
 WHOLE = Part()
@@ -94,7 +103,7 @@ class PartFound:
     """What the pipeline found in a part.
 
     health: counts in this part. sections: those finished, with the log time of the block that
-    finished them; those of the end of a warm-up are among them.
+    finished them.
     """
 
     found: Estimated
@@ -116,9 +125,9 @@ class PartFound:
 class _Resumed(Estimator):
     """An estimator that begins within a run."""
 
-    def resume(self, clock: SampleClock, odometer: Odometer) -> None:
-        """Go on at the time and the place that a clock and an odometer tell."""
-        self._clock, self._odometer = clock, odometer
+    def resume(self, start: Start) -> None:
+        """Go on at the time and the place of a start."""
+        self._clock, self._odometer = start.clock, start.odometer
 
 
 class Pipeline:
@@ -139,9 +148,9 @@ class Pipeline:
         self._results = ResultMessages(case.vehicle, OFFLINE, case.indicators, case.settings)
         self._warm = part.begin is None
         self._before = Health()
-        if part.clock is not None and part.odometer is not None:
-            self._estimator.resume(part.clock, part.odometer)
-            self._results.forces_told_ns = part.forces_told_ns
+        if part.start is not None:
+            self._estimator.resume(part.start)
+            self._results.resume(part.start.sections, part.start.forces_told_ns)
 
     def steps(self) -> Iterator[int]:
         """Do the work; yields the log time of every message.
@@ -155,7 +164,8 @@ class Pipeline:
                 self._block(waiting.pop(0))
             if not self._warm and message.log_time >= (self._part.begin or 0):
                 self._end_warm_up()
-            if self._warm and not is_result(message.topic, self._run):
+            copied = not (isinstance(event, AccelerationBlock) and event.gathered)
+            if self._warm and copied and not is_result(message.topic, self._run):
                 self._recording.write_raw(
                     message.topic, message.type, message.log_time, message.data
                 )
@@ -191,16 +201,20 @@ class Pipeline:
                 result.remarks.note(note, f'at {seconds:.3f} s: ')
         if estimate is None:
             return
-        messages = list(self._results.waveforms(estimate, block.frame_id or FRAME))
+        frame_id = block.frame_id or FRAME
+        forces = list(self._results.forces(estimate, frame_id))
         if self._warm:
             result.found.add(estimate, self._estimator.time_step or 0.0)
-            self._write(messages)
+            for topic, waveform in waveforms(estimate, frame_id):
+                self._recording.write_waveform(
+                    f'{NODE}/{topic}', waveform, result.last_log_time)
+            self._write(forces)
         self._results.feed(estimate)
         self._take_sections()
 
     def _take_sections(self) -> None:
         finished = self._results.finished
-        if not finished.sections:
+        if not finished.sections or not self._warm:
             return
         self.result.sections.append((self.result.last_log_time, finished))
         if not self._separate:

@@ -23,17 +23,8 @@ class BoxFigures:
     lowest_force: float = math.inf
     highest_force: float = -math.inf
 
-    def add(self, force: np.ndarray) -> None:
-        """Take the forces (n,) of a block."""
-        valid = force[np.isfinite(force)]
-        self.samples += force.size
-        self.valid += valid.size
-        if valid.size:
-            self.lowest_force = min(self.lowest_force, float(valid.min()))
-            self.highest_force = max(self.highest_force, float(valid.max()))
-
     def join(self, later: BoxFigures) -> None:
-        """Take what a later part of the run has given."""
+        """Take what a later block or part of the run has given."""
         self.samples += later.samples
         self.valid += later.valid
         self.lowest_force = min(self.lowest_force, later.lowest_force)
@@ -78,8 +69,14 @@ class Estimated:
 
     def add(self, block: EstimateBlock, step: float) -> None:
         """Take a block."""
-        for name, force in block.contact_force.items():
-            self.boxes.setdefault(name, BoxFigures()).add(force)
+        forces = np.array(list(block.contact_force.values()))
+        blocks = zip(
+            block.contact_force, np.count_nonzero(np.isfinite(forces), axis=1).tolist(),
+            np.fmin.reduce(forces, axis=1, initial=math.inf).tolist(),
+            np.fmax.reduce(forces, axis=1, initial=-math.inf).tolist(), strict=True)
+        for name, valid, lowest, highest in blocks:
+            self.boxes.setdefault(name, BoxFigures()).join(
+                BoxFigures(forces.shape[1], valid, lowest, highest))
         if np.isnan(block.position[0]):
             return
         speed = np.abs(block.speed)

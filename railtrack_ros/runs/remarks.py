@@ -2,24 +2,14 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from railtrack_ros.estimation.notes import Kind, Note
+
 # Lines of a kind that are told one by one.
 MOST_TOLD = 12
-
-# What the estimator says of events that it is made for: gaps in the stamps, repeated blocks and
-# those out of order, axle boxes without a channel, speeds that come too late.
-NORMAL = re.compile(
-    r'gap of .* start anew|block dropped: it has the stamp of the last one'
-    r'|block dropped: \S+ s before the last one|.*: no channel: .*|.*: good samples again'
-    r'|speed message \S+ s too late .*|the speed is back: start anew'
-)
-# A gap of several seconds looks like a clock that jumps until the block after it.
-GAP = re.compile(r'gap of ')
-LEAP = re.compile(r'block dropped: stamped \S+ s after the expected time')
 
 
 @dataclass
@@ -32,16 +22,23 @@ class Remarks:
 
     defects: list[str] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
+    _leap: str = ''  # the line on stamps that leap, if that was the last note
+    _gap: tuple[str, str] = ('', '')  # when the last gap was, and the line on it
 
-    def note(self, note: str, when: str = '') -> None:
+    def note(self, note: Note, when: str = '') -> None:
         """Take a note of the estimator, told with `when` before it."""
-        if GAP.match(note) and self.defects and LEAP.search(self.defects[-1]):
+        line = f'{when}{note}'
+        if note.kind is Kind.LONG_GAP and self.defects and self.defects[-1] == self._leap:
+            # The block after the first sign of it tells that it was no jump of the clock.
             self.remarks.append(self.defects.pop())
+        if note.kind in (Kind.GAP, Kind.LONG_GAP):
+            self._gap = when, line
         # Where the whole recording has a gap, the speed has it too.
-        same_gap = note.startswith('no speed for ') and bool(
-            self.remarks and self.remarks[-1].startswith(f'{when}gap of '))
-        normal = same_gap or bool(NORMAL.fullmatch(note))
-        (self.remarks if normal else self.defects).append(f'{when}{note}')
+        same_gap = (note.kind is Kind.SILENCE and self._gap[0] == when
+                    and self.remarks[-1:] == [self._gap[1]])
+        normal = same_gap or note.kind in (Kind.NORMAL, Kind.GAP, Kind.LONG_GAP)
+        (self.remarks if normal else self.defects).append(line)
+        self._leap = line if note.kind is Kind.LEAP else ''
 
     def join(self, later: Remarks) -> None:
         """Take the lines on a later part."""

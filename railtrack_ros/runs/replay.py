@@ -24,10 +24,12 @@ from railtrack_ros.bags.reader import (
     read_run,
 )
 from railtrack_ros.errors import InputError
+from railtrack_ros.estimation.analysis import TrackAnalysis
 from railtrack_ros.estimation.estimator import EstimateBlock, Estimator
 from railtrack_ros.estimation.indicators import Section, SectionIndicators
+from railtrack_ros.estimation.samples import SAMPLE_BLOCK
 from railtrack_ros.estimation.settings import EstimatorSettings, IndicatorSettings
-from railtrack_ros.report.content import Indicators, Latency, Report
+from railtrack_ros.report.content import Latency, Report
 from railtrack_ros.report.page import write_report
 from railtrack_ros.runs import comparison
 from railtrack_ros.runs.configuration import write_configuration
@@ -45,6 +47,7 @@ from railtrack_ros.runs.replay_report import (
     worst,
 )
 from railtrack_ros.runs.replay_spectra import WeightedSpectra, spectra
+from railtrack_ros.runs.report_parts import corrugation_cards, indicators_of
 from railtrack_ros.track.bay import Mesh
 from railtrack_ros.track.description import Track
 from railtrack_ros.track.row import BayRow
@@ -53,14 +56,6 @@ from railtrack_ros.vehicle.description import Vehicle
 RESULT = '/contact_force'          # the result whose arrival tells the latency
 LATENCY = ('From the arrival of a block of acceleration at the recorder to the arrival of its '
            'contact force there: transport, estimate and publication.')
-
-# RMS limits of E. J. Grassie, M. J. Saxon and J. D. Smith, Journal of Sound and Vibration 227
-# (1999) 949: to be exceeded over less than 5 % of the length after reprofiling.
-LIMITS = {'rms_10_30_um': 3.0, 'rms_30_100_um': 7.0, 'rms_100_300_um': 7.0,
-          'rms_300_1000_um': 45.0}
-LIMIT_SOURCE = ('RMS limits for reprofiled rails after Grassie, Saxon and Smith, Journal of Sound '
-                'and Vibration 227 (1999) 949, there to be exceeded over less than 5 % of the '
-                'length.')
 
 Progress = Callable[[float], None]
 
@@ -75,6 +70,7 @@ class EstimatedRun:
     """A recording after the estimator, summed up."""
 
     settings: EstimatorSettings
+    analysis: TrackAnalysis
     sections: list[Section] = field(default_factory=list)
     latency: Latency | None = None
     blocks: int = 0
@@ -100,7 +96,7 @@ def replay_recording(
     mesh: Mesh | None = None, longest_step: float = LONGEST_STEP, about: About | None = None,
     acceleration_topic: str | None = None, speed_topic: str | None = None,
     progress: Progress = lambda seconds: None, section_length: float = SECTION,
-    window: float = WINDOW,
+    window: float = WINDOW, sample_block: float = SAMPLE_BLOCK,
 ) -> ReplayResult:
     """Replay a recording through the full model and write report, CSV and MCAP files.
 
@@ -132,6 +128,8 @@ def replay_recording(
     window
         Duration of the pieces that the stretch is replayed in [s], each with a run-up: memory is
         that of two of them.
+    sample_block
+        Single samples are gathered to blocks of about this length [s].
 
     Raises
     ------
@@ -152,7 +150,8 @@ def replay_recording(
                                section_length=section_length), vehicle)
 
         run = estimate_run(path, track, vehicle, settings, stretch, take,
-                           start_position, acceleration_topic, speed_topic, progress, window)
+                           start_position, acceleration_topic, speed_topic, progress, window,
+                           sample_block)
         found = windows.result()
         about = about or About(f'Replay of {name}', '')
         described = parameters(model_track, mesh, vehicle, run.settings, found)
@@ -160,9 +159,10 @@ def replay_recording(
         about = replace(
             about, parameters={**described, **(about.parameters or {})},
             subtitle=about.subtitle or f'{name}, track {track.name}, vehicle {vehicle.name}')
-        indicators = Indicators([s.row() for s in run.sections], LIMITS, LIMIT_SOURCE)
-        report = replay_report(found, vehicle, about, indicators, run.latency,
-                               windows.spectra.mean())
+        judge = run.analysis.judge
+        report = replay_report(
+            found, vehicle, about, indicators_of(run.sections, judge), run.latency,
+            windows.spectra.mean(), corrugation_cards(run.analysis.found, judge, vehicle))
         write_errors(place / 'errors.csv', found.errors)
         write_report(place / 'report.html', report)
     return ReplayResult(found, report, _summary(path, output, run, found), run.defects,
@@ -210,8 +210,8 @@ Take = Callable[[Samples, slice, EstimatorSettings], None]
 def estimate_run(path: Paths, track: Track, vehicle: Vehicle, settings: EstimatorSettings,
                  stretch: Stretch, take: Take, start_position: float | None = None,
                  acceleration_topic: str | None = None, speed_topic: str | None = None,
-                 progress: Progress = lambda seconds: None, window: float = math.inf
-                 ) -> EstimatedRun:
+                 progress: Progress = lambda seconds: None, window: float = math.inf,
+                 sample_block: float = SAMPLE_BLOCK) -> EstimatedRun:
     """Run the estimator over a recording and hand over the samples of the stretch.
 
     Parameters
@@ -221,6 +221,8 @@ def estimate_run(path: Paths, track: Track, vehicle: Vehicle, settings: Estimato
         them are the window, and the settings of the estimate.
     window
         Duration of a window [s].
+    sample_block
+        Single samples are gathered to blocks of about this length [s].
 
     Raises
     ------
@@ -229,7 +231,9 @@ def estimate_run(path: Paths, track: Track, vehicle: Vehicle, settings: Estimato
         it can be used.
     """
     paths = paths_of(path)
-    with (read_run(paths, acceleration_topic, speed_topic, everything=True) as run,
+    names = [box.name for box in vehicle.axle_boxes]
+    with (read_run(paths, acceleration_topic, speed_topic, everything=True, names=names,
+                   sample_block=sample_block) as run,
           open_bag(paths) as beside):
         if start_position is None:
             start_position = run.start_position
@@ -237,10 +241,12 @@ def estimate_run(path: Paths, track: Track, vehicle: Vehicle, settings: Estimato
             settings = replace(settings, start_position=start_position)
         estimator = Estimator(track, vehicle, settings)
         indicators = SectionIndicators(vehicle, IndicatorSettings(), settings)
+        analysis = TrackAnalysis(vehicle, IndicatorSettings(), settings, None,
+                                 vehicle.wheel.radius)
         cutting = _Cutting(stretch, settings, vehicle, beside, window,
                            lambda samples, part: take(samples, part, settings))
         arrivals = _Arrivals()
-        found = EstimatedRun(settings)
+        found = EstimatedRun(settings, analysis)
         remarks = Remarks()
         channels: set[str] = set()
 
@@ -251,8 +257,9 @@ def estimate_run(path: Paths, track: Track, vehicle: Vehicle, settings: Estimato
             if result is not None:
                 found.blocks += 1
                 cutting.add(block, result, event.message.log_time)
-                found.sections += indicators.feed(
-                    result.t, result.position, result.irregularity, result.stamp_ns)
+                irregularity = result.t, result.position, result.irregularity, result.stamp_ns
+                found.sections += indicators.feed(*irregularity)
+                analysis.feed(*irregularity)
 
         # As everywhere, a block is estimated when all messages of its log time are there.
         waiting: deque[AccelerationBlock] = deque()
@@ -277,13 +284,13 @@ def estimate_run(path: Paths, track: Track, vehicle: Vehicle, settings: Estimato
             estimate(last)
         for note in estimator.take_notes():
             remarks.note(note)
-        names = [box.name for box in vehicle.axle_boxes]
         if channels and not channels.intersection(names):
             raise InputError(
                 f'{paths[0]}: {run.acceleration_topic} has the channels '
                 f'{", ".join(sorted(channels))}, none of the axle boxes of vehicle '
                 f'{vehicle.name}: {", ".join(names)}')
         found.sections += indicators.finish()
+        analysis.finish()
         left_out = cutting.finish()
         notes = run.bag.notes
     found.latency = arrivals.latency()

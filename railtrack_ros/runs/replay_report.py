@@ -12,23 +12,22 @@ from numpy.typing import NDArray
 from railtrack_ros import __version__
 from railtrack_ros.estimation.settings import EstimatorSettings
 from railtrack_ros.output import metres
-from railtrack_ros.report import sections, style
+from railtrack_ros.report import style
 from railtrack_ros.report.content import (
-    BandError,
-    ErrorPlot,
+    Card,
     Indicators,
     Latency,
     Report,
     Spectrum,
     Table,
     Tile,
-    Waveform,
-    WaveformPlot,
 )
-from railtrack_ros.runs import comparison
+from railtrack_ros.runs import comparison, replay_plots
 from railtrack_ros.runs.comparison import Error
 from railtrack_ros.runs.replay_model import PAIRS, Replayed
+from railtrack_ros.runs.replay_plots import NAMES, PLOTS
 from railtrack_ros.runs.replay_spectra import spectra
+from railtrack_ros.runs.report_parts import corrugation_findings, described_track, worst_tile
 from railtrack_ros.track.bay import Mesh
 from railtrack_ros.track.description import Track
 from railtrack_ros.vehicle.description import Vehicle
@@ -37,19 +36,6 @@ Array = NDArray[np.float64]
 
 UNEXPLAINED = 0.3        # of the measured RMS: a larger difference is not explained
 MOST_ROWS = 25           # of a table on the page
-VIEW = 8.0               # [m] of waveform on the page at least
-POINTS = 5400            # of a curve at most
-PER_WAVE = 6.0           # points per shortest wave
-
-# Quantity -> title, name, unit, scale.
-PLOTS = {
-    'irregularity': ('Irregularity', 'irregularity', 'µm', 1e6),
-    'contact_force': ('Contact force', 'contact force', 'kN', 1e-3),
-    'rail_deflection': ('Rail deflection', 'rail deflection', 'mm', 1e3),
-    'axle_box_acceleration': ('Axle-box acceleration', 'acceleration', 'm/s²', 1.0),
-}
-NAMES = {'truth': 'true', 'measured': 'measured', 'full_model': 'full model',
-         'estimated': 'estimated'}
 
 
 @dataclass(frozen=True)
@@ -68,13 +54,16 @@ class About:
 
 def replay_report(found: Replayed, vehicle: Vehicle, about: About,
                   indicators: Indicators | None = None, latency: Latency | None = None,
-                  levels: Mapping[str, Spectrum] | None = None) -> Report:
+                  levels: Mapping[str, Spectrum] | None = None, cards: Sequence[Card] = ()
+                  ) -> Report:
     """Compose the report of a replay; without truth, indicators or latency those parts lack.
 
     levels: spectra of the irregularity over the whole stretch, where `found` shows a window of it.
+    cards: further parts of the page.
     """
-    window = _window(found, vehicle, indicators)
-    plots = {quantity: _waveforms(found, vehicle, quantity, window) for quantity in PLOTS}
+    window = replay_plots.window(found, vehicle, indicators)
+    plots = {quantity: replay_plots.waveforms(found, vehicle, quantity, window)
+             for quantity in PLOTS}
     return Report(
         title=about.title,
         subtitle=about.subtitle,
@@ -86,14 +75,15 @@ def replay_report(found: Replayed, vehicle: Vehicle, about: About,
         spectra=levels if levels is not None else spectra(found, vehicle),
         spectrum_remark=_spectrum_remark(found),
         waveforms=[plots[q] for q in PAIRS if q != 'irregularity'],
-        errors=[_error_plot(found, q) for q in ('contact_force', 'rail_deflection',
-                                                'axle_box_acceleration')],
+        errors=[replay_plots.error_plot(found, q) for q in (
+            'contact_force', 'rail_deflection', 'axle_box_acceleration')],
         tables=[_unexplained_table(found), _table(found, vehicle)],
         latency=latency,
         parameters=about.parameters or {},
         methods=_methods(found),
         highlight=found.compared,
-        axle_box=_shown(vehicle, indicators),
+        axle_box=replay_plots.shown(vehicle, indicators),
+        cards=cards,
     )
 
 
@@ -139,36 +129,6 @@ def overall(errors: Iterable[Error], quantity: str, compared: str, reference: st
 # In words
 
 
-def corrugation_findings(indicators: Indicators | None) -> list[str]:
-    """Say where the irregularity is above its limit."""
-    if indicators is None or not indicators.rows or not indicators.limits:
-        return []
-    found = sections.exceedances(indicators)
-    if not found:
-        return ['No section is above its limit in any band of wavelength.']
-    first = found[0]
-    same = [e for e in found if e.band == first.band and e.start < first.end
-            and first.start < e.end]
-    rails = 'both rails' if len({e.rail for e in same}) > 1 else f'the {first.rail} rail'
-    begin, end = min(e.start for e in same), max(e.end for e in same)
-    band = style.BAND_NAMES[first.band]
-    if first.wavelength is None:
-        text = (f'From {begin:.0f} m to {end:.0f} m irregularity of {band} wavelength is above its '
-                f'limit on {rails}: up to')
-    else:
-        verb = 'are' if rails.startswith('both') else 'is'
-        text = (f'{rails[0].upper()}{rails[1:]} {verb} corrugated from {begin:.0f} m to '
-                f'{end:.0f} m, with a wavelength of {first.wavelength * 1e3:.0f} mm: irregularity '
-                f'of {band} wavelength reaches')
-    text += (f' {first.worst:.1f} µm RMS in a section, {first.worst / first.limit:.1f} times the '
-             'limit.')
-    others = [e for e in found if e not in same]
-    if others:
-        text += (f' {len(others)} more stretch{"es are" if len(others) > 1 else " is"} above a '
-                 f'limit, by a factor of {others[0].worst / others[0].limit:.1f} at most.')
-    return [text]
-
-
 def _agreement(found: Replayed) -> list[str]:
     band = f'from {_hertz(found.band.low)} to {_hertz(found.band.high)}'
     begin, end = found.compared
@@ -182,22 +142,39 @@ def _agreement(found: Replayed) -> list[str]:
             f'the difference is {100 * difference / reference:.1f} % of its RMS, and no one-third '
             f'octave of any axle box is off by more than {abs(model.level_difference):.2f} dB '
             f'(at {model.frequency:.0f} Hz).')
-    force = worst(found.errors, 'contact_force', 'estimated', 'truth')
+    force, lost = _worst_of_truth(found.errors, 'contact_force')
     if force is not None:
         difference, reference = _overall(found, 'contact_force', 'estimated', 'truth')
         texts.append(
             f'The estimated contact force misses the true one by {difference / 1e3:.2f} kN RMS, '
             f'{100 * difference / reference:.1f} % of its dynamic part; the largest error in a '
             f'one-third octave is {abs(force.level_difference):.2f} dB, at {force.frequency:.0f} '
-            'Hz.')
-    shape = worst(found.errors, 'irregularity', 'estimated', 'truth')
+            f'Hz{lost}.')
+    shape, lost = _worst_of_truth(found.errors, 'irregularity')
     if shape is not None:
         lines = [e for e in found.errors if e.quantity == 'irregularity' and e.band == 'frequency']
         texts.append(
             f'The true irregularity comes back within {abs(shape.level_difference):.2f} dB in '
             f'every one-third octave from {_millimetres(max(e.wavelength for e in lines))} down '
-            f'to {_millimetres(min(e.wavelength for e in lines))} of wavelength.')
+            f'to {_millimetres(min(e.wavelength for e in lines))} of wavelength{lost}.')
     return texts
+
+
+def _worst_of_truth(errors: Iterable[Error], quantity: str) -> tuple[Error | None, str]:
+    """Return the worst one-third octave in which truth exceeds the difference, and on the others.
+
+    Where there is next to no truth, the estimate is the noise of the sensors. If no one-third
+    octave has more truth than difference, the worst one of all is returned.
+    """
+    lines = [e for e in errors if (e.quantity, e.compared, e.reference, e.band) == (
+        quantity, 'estimated', 'truth', 'frequency')]
+    seen = [e for e in lines if e.rms_difference <= e.rms_reference]
+    lost = len(lines) - len(seen)
+    text = (f'; left out are {lost} of {len(lines)}, of all axle boxes, in which the difference '
+            'is larger than the true one')
+    if not seen:
+        return worst(lines, quantity, 'estimated', 'truth'), ''
+    return worst(seen, quantity, 'estimated', 'truth'), text if lost else ''
 
 
 def _unexplained(found: Replayed) -> list[str]:
@@ -262,7 +239,8 @@ def _tiles(found: Replayed, indicators: Indicators | None, latency: Latency | No
              'estimated against true'),
             ('irregularity', ('estimated', 'truth'), 'irregularity error',
              'estimated against true')):
-        error = worst(found.errors, quantity, *pair)
+        error = (worst(found.errors, quantity, *pair) if pair[1] != 'truth'
+                 else _worst_of_truth(found.errors, quantity)[0])
         if error is not None:
             tiles.append(Tile(label, f'{abs(error.level_difference):.2f} dB',
                               f'worst one-third octave, {who}'))
@@ -271,18 +249,6 @@ def _tiles(found: Replayed, indicators: Indicators | None, latency: Latency | No
                           f'median; 99 % within '
                           f'{1e3 * float(np.percentile(latency.delay, 99)):.1f} ms'))
     return tiles
-
-
-def worst_tile(indicators: Indicators | None) -> list[Tile]:
-    """Return the key figure of the stretch that is furthest above its limit."""
-    if indicators is None or not indicators.limits:
-        return []
-    above = sections.exceedances(indicators)
-    if not above:
-        return [Tile('above a limit', 'nothing', 'in any band of wavelength')]
-    return [Tile('worst stretch', f'{above[0].worst / above[0].limit:.1f} × limit',
-                 f'{above[0].start:.0f} to {above[0].end:.0f} m, {above[0].rail} rail, '
-                 f'{style.BAND_NAMES[above[0].band]}')]
 
 
 def _spectrum_remark(found: Replayed) -> str:
@@ -326,128 +292,6 @@ def parameters(track: Track, mesh: Mesh, vehicle: Vehicle, settings: EstimatorSe
             'compared': f'{found.band.low:.4g} to {found.band.high:.4g} Hz',
         },
     }
-
-
-def described_track(track: Track, vehicle: Vehicle) -> dict[str, dict[str, str]]:
-    """Return the figures of track and vehicle, in groups."""
-    rail, support, wheel = track.rail, track.support, vehicle.wheel
-    return {
-        f'track {track.name}': {
-            'support': f'{support.kind}, every {support.spacing:g} m',
-            'rail pad': f'{support.pad_stiffness / 1e6:g} MN/m, {support.pad_damping / 1e3:g} '
-                        f'kNs/m, {support.pad_length * 1e3:g} mm long',
-            'sleeper mass per rail': f'{support.sleeper_mass:g} kg',
-            'ballast': f'{support.ballast_stiffness / 1e6:g} MN/m, '
-                       f'{support.ballast_damping / 1e3:g} kNs/m',
-            'rail': f'EI {rail.bending_stiffness / 1e6:.4g} MNm², '
-                    f'{rail.mass_per_length:.4g} kg/m, loss factor {rail.loss_factor:g}',
-        },
-        f'vehicle {vehicle.name}': {
-            'axle boxes': str(len(vehicle.axle_boxes)),
-            'wheel': f'{wheel.mass:g} kg unsprung, {wheel.static_load / 1e3:g} kN static load',
-            'contact': f'{vehicle.contact.stiffness:g} N/m^{vehicle.contact.exponent:g}',
-        },
-    }
-
-
-# Plots
-
-
-def _shown(vehicle: Vehicle, indicators: Indicators | None) -> str:
-    """Return the axle box to begin with: one on the rail where there is most to see."""
-    above = sections.exceedances(indicators) if indicators is not None else []
-    rail = above[0].rail if above else vehicle.rails[0]
-    return (vehicle.on_rail(rail) or vehicle.axle_boxes)[0].name
-
-
-def _window(found: Replayed, vehicle: Vehicle, indicators: Indicators | None
-            ) -> tuple[float, float]:
-    """Track positions [m] between which waveforms are shown: where something begins, or the middle.
-
-    Every axle box passes the same piece of track, each at its own time.
-    """
-    spans = []
-    for box in vehicle.axle_boxes:
-        values = found.full_model['contact_force'][box.name]
-        good = found.stretch.start + np.flatnonzero(np.isfinite(values[found.stretch]))
-        if good.size:
-            places = found.samples.position[good] + box.offset
-            spans.append((float(places.min()), float(places.max())))
-    first, last = max(s[0] for s in spans), min(s[1] for s in spans)
-    if last - first < 1.0:        # a short stretch under a long vehicle
-        first, last = spans[0]
-    speed = float(np.abs(found.samples.speed[found.stretch]).mean())
-    length = min(max(VIEW, _grid_step(found, speed) * 1000), last - first)
-    centre = (first + last) / 2
-    if indicators is not None and indicators.limits:
-        ends = [x for e in sections.exceedances(indicators)[:2] for x in (e.start, e.end)]
-        inside = [x for x in ends if first + 1.0 < x < last - 1.0]
-        centre = inside[0] if inside else centre
-    begin = min(max(centre - length / 2, first), last - length)
-    return begin, begin + length
-
-
-def _grid_step(found: Replayed, speed: float) -> float:
-    return speed * max(found.samples.time_step, 1.0 / (PER_WAVE * found.band.high))
-
-
-def _waveforms(found: Replayed, vehicle: Vehicle, quantity: str, window: tuple[float, float]
-               ) -> WaveformPlot:
-    """Resample all descriptions of a quantity on a uniform grid along the track."""
-    title, name, unit, scale = PLOTS[quantity]
-    signals = found.signals(quantity)
-    boxes: dict[str, Waveform] = {}
-    for box in vehicle.axle_boxes:
-        place = found.samples.position[found.stretch] + box.offset
-        forward = 1.0 if place[-1] >= place[0] else -1.0
-        order = slice(None) if forward > 0 else slice(None, None, -1)
-        near = np.flatnonzero((place >= window[0] - 1.0) & (place <= window[1] + 1.0))
-        if near.size < 2:
-            continue
-        part = slice(int(near[0]), int(near[-1]) + 1)
-        speed = float(np.abs(found.samples.speed[found.stretch][part]).mean())
-        step = max(_grid_step(found, speed), (window[1] - window[0]) / POINTS)
-        grid = np.arange(window[0], window[1], step)
-        curves = {}
-        for who, channels in signals.items():
-            if box.name in channels:
-                values = found.band.low_pass(channels[box.name])[found.stretch][part]
-                curves[who] = np.interp(grid, place[part][order], values[order], np.nan, np.nan)
-        if curves:
-            boxes[box.name] = Waveform(float(window[0]), float(step), curves)
-    remark = {
-        'irregularity': 'Combined irregularity of wheel and rail, causally high-passed in '
-                        'wavelength as it is published live'
-                        + ('; the true one has passed the same filter.'
-                           if found.truth_irregularity else '.'),
-        'contact_force': 'Compressive force, static load included. Drag to zoom, double-click to '
-                         'go back; the slider below moves along the piece of track.',
-        'rail_deflection': 'At the contact, up positive: the whole deflection, static part and all '
-                           'wheels on that rail.',
-        'axle_box_acceleration': 'What the model does not explain is what the curves leave '
-                                 'between them.',
-    }[quantity]
-    return WaveformPlot(title, name, unit, scale, boxes, remark)
-
-
-def _error_plot(found: Replayed, quantity: str) -> ErrorPlot:
-    pairs: dict[str, dict[str, BandError]] = {}
-    for compared, reference in PAIRS[quantity]:
-        boxes: dict[str, list[Error]] = {}
-        for e in found.errors:
-            if (e.quantity, e.compared, e.reference, e.band) == (
-                    quantity, compared, reference, 'frequency'):
-                boxes.setdefault(e.axle_box, []).append(e)
-        if boxes:
-            pairs[f'{NAMES[compared]} - {NAMES[reference]}'] = {
-                name: BandError(np.array([e.frequency for e in lines]),
-                                np.array([e.wavelength for e in lines]),
-                                np.array([e.level_difference for e in lines]),
-                                np.array([e.coherence for e in lines]))
-                for name, lines in boxes.items()}
-    return ErrorPlot(f'{PLOTS[quantity][0]}: level differences in one-third octaves', pairs,
-                     'Line: the chosen axle box, shade: the range of all. Coherence: 1 where one '
-                     'is the other through a linear filter, near 0 where they are strangers.')
 
 
 def _table(found: Replayed, vehicle: Vehicle) -> Table:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from railtrack_ros.bags.bag import Bag
-from railtrack_ros.bags.codec import WAVEFORM, decode_waveform
+from railtrack_ros.bags.codec import WAVEFORM
 from railtrack_ros.errors import InputError
 from railtrack_ros.runs import configuration
 from railtrack_ros.runs.comparison import pieces
@@ -168,7 +168,7 @@ class ResultStream:
         topics, last = source.topics, source.quantities[-1]
         for message in source.bag.messages(set(topics)):
             try:
-                block = decode_waveform(source.bag.decode(message))
+                block = source.bag.waveform(message)
             except InputError as error:
                 raise InputError(f'{source.bag.path}: {error}') from error
             quantity = topics[message.topic]

@@ -7,6 +7,7 @@ the sections that it has left.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -17,7 +18,7 @@ from railtrack_ros.bags import codec
 from railtrack_ros.bags.codec import SECOND, Status, WaveformBlock
 from railtrack_ros.bags.message_types import MessageTypes
 from railtrack_ros.estimation.estimator import EstimateBlock
-from railtrack_ros.estimation.indicators import Section, SectionIndicators, band_name
+from railtrack_ros.estimation.indicators import Section, SectionIndicators, Way, band_name
 from railtrack_ros.estimation.settings import EstimatorSettings, IndicatorSettings
 from railtrack_ros.output import metres
 from railtrack_ros.vehicle.description import Vehicle
@@ -79,21 +80,26 @@ class ResultMessages:
 
     def block(self, estimate: EstimateBlock, frame_id: str) -> Messages:
         """Yield the messages of a block with their topics; all of them have to be taken."""
-        yield from self.waveforms(estimate, frame_id)
+        for name, waveform in waveforms(estimate, frame_id):
+            yield name, codec.encode_waveform(waveform, self._types)
+        yield from self.forces(estimate, frame_id)
         self.feed(estimate)
         yield from self._corrugation()
 
-    def waveforms(self, estimate: EstimateBlock, frame_id: str) -> Messages:
-        """Yield those messages of a block that are not about sections."""
-        for name in WAVEFORMS:
-            channels = getattr(estimate, name)
-            block = WaveformBlock(
-                estimate.stamp_ns, estimate.t, channels, estimate.position, frame_id
-            )
-            yield name, codec.encode_waveform(block, self._types)
+    def forces(self, estimate: EstimateBlock, frame_id: str) -> Messages:
+        """Yield the summaries of the contact force that are due after a block."""
         self._frame_id = frame_id
         self._end_ns = estimate.stamp_ns + round(float(estimate.t[-1]) * SECOND)
-        yield from self._forces(estimate)
+        peaks = np.fmax.reduce(np.array(list(estimate.contact_force.values())), axis=1)
+        for name, peak in zip(estimate.contact_force, peaks.tolist(), strict=True):
+            if math.isfinite(peak):
+                self._peaks[name] = max(self._peaks.get(name, peak), peak)
+        if not forces_are_due(self._last_force_ns, self._end_ns):
+            return
+        told, self._peaks, self._last_force_ns = self._peaks, {}, self._end_ns
+        for name, peak in told.items():
+            message = codec.encode_force(self._end_ns, peak, self._frame_id, self._types)
+            yield f'wheel/{name}/contact_force', message
 
     def feed(self, estimate: EstimateBlock) -> None:
         """Take a block, whose waveforms are told, into the sections."""
@@ -110,26 +116,10 @@ class ResultMessages:
         """Finish the sections under way at the end of a run."""
         self.sections = self._indicators.finish()
 
-    @property
-    def forces_told_ns(self) -> int:
-        """When the contact forces were summed up last [ns]; set it to go on from there."""
-        return self._last_force_ns
-
-    @forces_told_ns.setter
-    def forces_told_ns(self, time_ns: int) -> None:
-        self._last_force_ns = time_ns
-
-    def _forces(self, estimate: EstimateBlock) -> Messages:
-        for name, force in estimate.contact_force.items():
-            peak = float(np.fmax.reduce(force))
-            if np.isfinite(peak):
-                self._peaks[name] = max(self._peaks.get(name, peak), peak)
-        if not forces_are_due(self._last_force_ns, self._end_ns):
-            return
-        peaks, self._peaks, self._last_force_ns = self._peaks, {}, self._end_ns
-        for name, peak in peaks.items():
-            message = codec.encode_force(self._end_ns, peak, self._frame_id, self._types)
-            yield f'wheel/{name}/contact_force', message
+    def resume(self, way: Way, forces_told_ns: int) -> None:
+        """Go on within a run: where its sections are, and when forces were summed up last [ns]."""
+        self._indicators.resume(way)
+        self._last_force_ns = forces_told_ns
 
     @property
     def finished(self) -> FinishedSections:
@@ -138,6 +128,13 @@ class ResultMessages:
 
     def _corrugation(self) -> Messages:
         return section_messages(self.finished, self._types)
+
+
+def waveforms(estimate: EstimateBlock, frame_id: str) -> Iterator[tuple[str, WaveformBlock]]:
+    """Yield the waveforms of a block with their topics."""
+    for name in WAVEFORMS:
+        yield name, WaveformBlock(
+            estimate.stamp_ns, estimate.t, getattr(estimate, name), estimate.position, frame_id)
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,7 @@ from railtrack_ros.vehicle.description import RAILS, AxleBox, Vehicle
 Array = NDArray[np.float64]
 
 TRUTH_MESH = Mesh(elements_per_bay=12, elements_per_pad=4)
+POINT_MESH = Mesh(elements_per_bay=12)  # of supports without elements over the pad
 # Newmark's period error at 2.5 kHz stays below 1 % up to this step, s.
 LONGEST_STEP = 20e-6
 # The rail is smooth where the run begins and its irregularity grows over this distance, m.
@@ -247,8 +248,10 @@ class _RailRun:
         self.boxes: tuple[AxleBox, ...] = vehicle.on_rail(rail)
         self._surface = surface
         self._settings = settings
+        on_points = track.support.kind.startswith('concentrated')
         self._model = FullModel(
-            BayRow(track, TRUTH_MESH), vehicle, [box.offset for box in self.boxes],
+            BayRow(track, POINT_MESH if on_points else TRUTH_MESH), vehicle,
+            [box.offset for box in self.boxes],
             time_step=1.0 / (settings.sample_rate * settings.oversampling),
             start_position=settings.start_position)
         self._decimators = [Decimator(settings.oversampling) for _ in range(3)]
