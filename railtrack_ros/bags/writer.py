@@ -16,11 +16,12 @@ from types import TracebackType
 from typing import Any, BinaryIO
 
 import yaml
+from mcap.writer import Writer
 
 from railtrack_ros import __version__
 from railtrack_ros.bags.codec import SECOND, WAVEFORM, WaveformBlock, encode_speed
+from railtrack_ros.bags.joining import join_files
 from railtrack_ros.bags.mcap_file import FACTS, FACTS_CHECKSUM, facts_checksum
-from railtrack_ros.bags.mcap_writer import Writer, join_files
 from railtrack_ros.bags.message_types import OFFLINE
 from railtrack_ros.bags.waveform_cdr import waveform_bytes
 from railtrack_ros.errors import InputError

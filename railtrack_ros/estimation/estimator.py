@@ -125,13 +125,16 @@ class _Rail:
         return [_Rail(tuple(names), np.array(offsets), len(names) // len(offsets))
                 for offsets, names in found.items()]
 
-    def begin(self, modes: TrackModes, vehicle: Vehicle, step: float, cut_on: float) -> None:
+    def begin(self, modes: TrackModes, vehicle: Vehicle, step: float, cut_on: float,
+              test_model: bool) -> None:
         """Prepare for a sample period [s]."""
         if self.response is None or self.response.time_step != step:
             self.response = RecursiveResponse(
                 modes, step, self.offsets, 'corrected', self.lines)
         self.wheels = WheelInverse(vehicle, step, len(self.names))
-        self.loop = ClosedLoop(modes, vehicle, self.names, self.offsets, step, cut_on, self.loop)
+        if test_model:
+            self.loop = ClosedLoop(
+                modes, vehicle, self.names, self.offsets, step, cut_on, self.loop)
         self.channels = ChannelState.stopped(len(self.names))
 
 
@@ -156,9 +159,13 @@ class Estimator:
     """
 
     def __init__(
-        self, track: Track, vehicle: Vehicle, settings: EstimatorSettings | None = None
+        self, track: Track, vehicle: Vehicle, settings: EstimatorSettings | None = None,
+        test_model: bool = True,
     ) -> None:
         """Compute the modes of the track (about a second).
+
+        test_model: whether to test it for `model_residual`, a tenth of the work; no other result
+        depends on it.
 
         Raises
         ------
@@ -167,6 +174,7 @@ class Estimator:
         """
         self.vehicle = vehicle
         self.settings = settings = settings or EstimatorSettings()
+        self._test_model = test_model
         WheelInverse(vehicle, 1e-4, 1)  # refuses a wheel that cannot be inverted
         bay = make_bay(track, settings.mesh)
         self._modes = make_track_modes(
@@ -256,14 +264,13 @@ class Estimator:
             setattr(self, name, value)
         for rail, (channels, response, wheels, loop) in zip(self._rails, rails, strict=True):
             if response:
-                rail.begin(self._modes, self.vehicle, response[0],
-                           self.settings.cut_on_wavelength)
+                self._begin(rail, response[0])
                 assert rail.response is not None
                 assert rail.wheels is not None
                 rail.response.restore(response[1])
                 rail.wheels.restore(wheels)
-                assert rail.loop is not None
-                rail.loop.restore(loop)
+                if rail.loop is not None and loop is not None:
+                    rail.loop.restore(loop)
             rail.channels = channels
 
     # Blocks
@@ -371,10 +378,14 @@ class Estimator:
             self._notes.append(Note(
                 f'{name}: {what}: taken to carry its static load, not estimated', kind))
 
+    def _begin(self, rail: _Rail, step: float) -> None:
+        rail.begin(self._modes, self.vehicle, step, self.settings.cut_on_wavelength,
+                   self._test_model)
+
     def _start(self, run: Run, step: float) -> None:
         """Begin a stretch: all wheels stand on the statically deflected rail."""
         for rail in self._rails:
-            rail.begin(self._modes, self.vehicle, step, self.settings.cut_on_wavelength)
+            self._begin(rail, step)
             assert rail.response is not None
             load = np.full((rail.lines, rail.offsets.size), -self.vehicle.wheel.static_load)
             rail.response.settle(run.place[0], load)
@@ -386,8 +397,7 @@ class Estimator:
         block: EstimateBlock,
     ) -> None:  # fmt: skip
         acceleration = np.column_stack([measured[name] for name in rail.names])
-        of_boxes = acceleration.copy()
-        assert rail.loop is not None
+        of_boxes = acceleration.copy() if rail.loop is not None else acceleration
         assert rail.response is not None
         assert rail.wheels is not None
         force, indentation, alive = rail.wheels(acceleration)
@@ -398,7 +408,8 @@ class Estimator:
             rail.channels, acceleration, indentation - deflection, alive, run.speed, step,
             self.settings.cut_on_wavelength, self.settings.minimum_speed,
         )  # fmt: skip
-        rail.loop.add(run.place, run.speed, of_boxes, irregularity)
+        if rail.loop is not None:
+            rail.loop.add(run.place, run.speed, of_boxes, irregularity)
         force[~valid] = np.nan
         deflection[~valid] = np.nan
         for i, name in enumerate(rail.names):

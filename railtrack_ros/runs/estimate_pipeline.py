@@ -144,7 +144,7 @@ class Pipeline:
         self.result = PartFound(Estimated(case.settings), last_log_time=run.bag.start_time)
         self._run, self._recording, self._part = run, recording, part
         self._separate = separate
-        self._estimator = _Resumed(case.track, case.vehicle, case.settings)
+        self._estimator = _Resumed(case.track, case.vehicle, case.settings, test_model=False)
         self._results = ResultMessages(case.vehicle, OFFLINE, case.indicators, case.settings)
         self._warm = part.begin is None
         self._before = Health()

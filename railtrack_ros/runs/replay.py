@@ -239,7 +239,7 @@ def estimate_run(path: Paths, track: Track, vehicle: Vehicle, settings: Estimato
             start_position = run.start_position
         if start_position is not None:
             settings = replace(settings, start_position=start_position)
-        estimator = Estimator(track, vehicle, settings)
+        estimator = Estimator(track, vehicle, settings, test_model=False)
         indicators = SectionIndicators(vehicle, IndicatorSettings(), settings)
         analysis = TrackAnalysis(vehicle, IndicatorSettings(), settings, None,
                                  vehicle.wheel.radius)
