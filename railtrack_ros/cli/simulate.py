@@ -54,8 +54,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='write every N-th time step (default 1)')
     newmark = parser.add_argument_group('solver newmark')
     newmark.add_argument('--margin', type=common.count(2), metavar='BAYS',
-                         help='bays of track beyond the outermost wheels (default 40, or 90 on a '
-                         'rail without loss)')
+                         help='bays of track beyond the outermost wheels (default 40, more where '
+                         'waves run further, 90 on a rail without loss)')
     newmark.add_argument('--newmark-beta', type=number(POSITIVE), default=0.25, metavar='BETA',
                          help='default 0.25')
     newmark.add_argument('--newmark-gamma', type=number(POSITIVE), default=0.5, metavar='GAMMA',
