@@ -6,6 +6,7 @@ The environment is set here, before anything imports rclpy or numba.
 import atexit
 import os
 import shutil
+import signal
 import tempfile
 import zlib
 
@@ -20,6 +21,10 @@ os.environ['MPLBACKEND'] = 'agg'
 ROS_LOG = tempfile.mkdtemp(prefix='railtrack_ros_log_')
 atexit.register(shutil.rmtree, ROS_LOG, ignore_errors=True)
 os.environ['ROS_LOG_DIR'] = ROS_LOG
+
+# A shell without job control starts what runs in its background deaf to Ctrl-C, children too.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Domains 1 to 100: one for each worker of a run, likely others for another run beside it.
 RUN = os.environ.get('PYTEST_XDIST_TESTRUNUID', str(os.getpid()))

@@ -265,6 +265,7 @@ def stand(model, state, k, wheel, place):
 def fetch(first_re, first_im, second_re, second_im, cos, sin, bay, piece, wheel, chunk, source_re,
           source_im):
     """source[wheel] = cubics of c in a piece of a bay."""
+    # Bounds that tell the compiler that half + p counts from the beginning, not from the end.
     half = min(max(cos.shape[2], 0), CHUNK)
     for i in range(4):
         for p in range(half):
