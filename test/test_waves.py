@@ -62,7 +62,8 @@ def test_both_filters_have_the_gain_of_their_formula(band):
     formula = 1.0 / np.sqrt(1.0 + (
         (warped**2 - edges[0] * edges[1]) / (warped * (edges[1] - edges[0])))**8)
     inside = frequency <= 1.0 / band[0]
-    np.testing.assert_allclose(response[inside], formula[inside], rtol=0.0, atol=2e-3)
+    np.testing.assert_allclose(response[inside], formula[inside], rtol=0.0,
+                               atol=2e-4 if apart == 1 else 2e-3)
     gain = filters.gain(band, STEP, frequency[:-1])
     np.testing.assert_allclose(gain, formula[:-1], rtol=0.0, atol=1e-9)
 
@@ -133,7 +134,7 @@ def test_causal_filters_do_not_depend_on_the_blocks(block):
 def test_peak_to_peak_of_a_sine_is_twice_its_amplitude(points, bound):
     wavelength = points * STEP
     places, heights = waves.peak_to_peaks(sine(wavelength, 5e-6, 2.0), STEP)
-    inner = heights[5:-5]  # at the ends too few points are around
+    inner = heights if points > 10.0 else heights[5:-5]  # too few points at the ends
     assert inner == pytest.approx(np.full(inner.size, 10e-6), rel=bound)
     assert np.mean(heights) == pytest.approx(10e-6, rel=0.01)
     assert np.diff(places) == pytest.approx(np.full(places.size - 1, 0.5 * wavelength), rel=0.02)
